@@ -1,0 +1,33 @@
+"""Image systems simulation on CPU and GPU: scene radiance, optics, sensor, image processor, display.
+
+    import gpusim as gs
+    simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
+    frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame.raw, frame.rgb, frame.report
+"""
+
+from importlib import import_module
+
+__version__ = "0.1.0"
+
+# name -> module; resolved on first use, so that `import gpusim` stays fast
+_PUBLIC = {
+    "Camera": "gpusim.domain.camera", "Display": "gpusim.domain.display", "Optics": "gpusim.domain.optics",
+    "Processor": "gpusim.domain.processor", "Scene": "gpusim.domain.scene", "Sensor": "gpusim.domain.sensor",
+    "Cube": "gpusim.domain.scene", "Basis": "gpusim.domain.scene", "Materials": "gpusim.domain.scene",
+    "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
+    "GpusimError": "gpusim.domain.errors",
+    "Simulator": "gpusim.scheduler", "Frame": "gpusim.scheduler", "open_device": "gpusim.backends",
+    "open_camera": "gpusim.data.cameras", "camera_names": "gpusim.data.cameras",
+    "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights", "open_scene": "gpusim.io.scenes",
+}
+__all__ = sorted(_PUBLIC)
+
+
+def __getattr__(name):
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'gpusim' has no attribute {name!r}")
+    return getattr(import_module(_PUBLIC[name]), name)
+
+
+def __dir__():
+    return sorted([*globals(), *__all__])

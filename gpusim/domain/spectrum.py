@@ -1,0 +1,65 @@
+"""A function of wavelength, tabulated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+
+PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
+LIGHT_SPEED = 299792458.0  # [m s-1], exact
+BOLTZMANN = 1.380649e-23  # [J K-1], exact (SI 2019)
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """One or more functions of wavelength on one table, linear between its entries.
+
+    wavelengths: [nm], strictly increasing, shape (L,), L >= 2.
+    values: shape (L,) for one function, (N, L) for N of them; the unit is the user's.
+    Raises BadData for unsorted wavelengths, wrong shapes, NaN or infinities.
+    """
+
+    wavelengths: np.ndarray
+    values: np.ndarray
+    name: str = ""
+
+    def __post_init__(self):
+        wavelengths = np.ascontiguousarray(self.wavelengths, np.float64)
+        values = np.ascontiguousarray(self.values, np.float64)
+        label = self.name or "spectrum"
+        if wavelengths.ndim != 1 or len(wavelengths) < 2:
+            raise BadData(f"{label}: needs at least 2 wavelengths, got shape {wavelengths.shape}")
+        if values.ndim not in (1, 2) or values.shape[-1] != len(wavelengths):
+            raise BadData(f"{label}: values of shape {values.shape} do not match {len(wavelengths)} wavelengths")
+        if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
+            raise BadData(f"{label}: NaN or infinite entries")
+        if not (np.diff(wavelengths) > 0).all():
+            raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
+        object.__setattr__(self, "wavelengths", wavelengths)
+        object.__setattr__(self, "values", values)
+
+    def at(self, wavelengths, outside: float | None = 0.0) -> np.ndarray:
+        """Values at `wavelengths` [nm], shape (..., len(wavelengths)).
+
+        outside: the value beyond the table's ends, or None to hold the end values.
+        """
+        edge = {} if outside is None else {"left": outside, "right": outside}
+        rows = [np.interp(wavelengths, self.wavelengths, row, **edge) for row in np.atleast_2d(self.values)]
+        return rows[0] if self.values.ndim == 1 else np.stack(rows)
+
+    def scaled(self, factor: float) -> "Spectrum":
+        """The same spectrum times `factor`."""
+        return Spectrum(self.wavelengths, self.values * factor, self.name)
+
+
+def photons_from_energy(spectrum: Spectrum) -> Spectrum:
+    """From energy [W ... nm-1] to photons [photon s-1 ... nm-1]: divides by h c / lambda."""
+    per_photon = PLANCK * LIGHT_SPEED / (spectrum.wavelengths * 1e-9)
+    return Spectrum(spectrum.wavelengths, spectrum.values / per_photon, spectrum.name)
+
+
+def energy_from_photons(spectrum: Spectrum) -> Spectrum:
+    """From photons [photon s-1 ... nm-1] to energy [W ... nm-1]: multiplies by h c / lambda."""
+    per_photon = PLANCK * LIGHT_SPEED / (spectrum.wavelengths * 1e-9)
+    return Spectrum(spectrum.wavelengths, spectrum.values * per_photon, spectrum.name)

@@ -1,0 +1,1 @@
+"""What several stages share: counter-based random numbers, exactly rounded log and exp."""

@@ -1,0 +1,1 @@
+"""From linear colour to display code values."""

@@ -1,0 +1,1 @@
+"""From planes to electrons per channel: diffraction, relative illumination."""

@@ -1,0 +1,1 @@
+"""From mean electrons to digital numbers."""

@@ -1,0 +1,1 @@
+"""From scene content to spectrally weighted planes."""
