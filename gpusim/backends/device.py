@@ -1,0 +1,83 @@
+"""The protocol every backend fulfils."""
+
+import os
+import time
+from collections import defaultdict
+from contextlib import contextmanager
+
+import numpy as np
+
+
+class Device:
+    """A place where kernels run: allocate, move, launch, time.
+
+    kind: "numpy", "opencl" or "warp"; name: what `open_device` was asked for, made definite, such as "opencl:0".
+    on_host: arrays live in host memory, so `numpy()` is a view that costs nothing.
+    array_type: class of this device's arrays; they have `shape` and `dtype`.
+    """
+
+    kind = "numpy"
+    name = "numpy"
+    on_host = True
+    array_type: type = type(None)  # no foreign arrays: everything is NumPy
+    is_gpu = False
+
+    def __init__(self):
+        self._times = None
+
+    @property
+    def memory(self) -> int:
+        """What may still be allocated in all [byte]: the host's free memory, for devices on the host."""
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
+
+    def array(self, values, dtype=np.float32):
+        """Array of this device with these values; one that is there already is returned as it is."""
+        return np.ascontiguousarray(values, dtype)
+
+    def empty(self, shape, dtype=np.float32):
+        """Uninitialised array of this device."""
+        return np.empty(shape, dtype)
+
+    def reshape(self, array, shape):
+        """The same memory with another shape of the same size."""
+        return array.reshape(shape)
+
+    def numpy(self, array) -> np.ndarray:
+        """Wait, then the values as NumPy: a view where `on_host`, else a copy."""
+        return np.asarray(array)
+
+    def launch(self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None):
+        """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
+
+        args: arrays of this device, ints and floats, in the kernel's order. defines: compile-time constants.
+        group: work-group (block) shape, slowest axis first, or None for the backend's choice.
+        """
+        raise NotImplementedError
+
+    def sync(self):
+        """Wait for everything that was launched."""
+
+    @contextmanager
+    def timed(self):
+        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block."""
+        self.sync()
+        self._times, outer = defaultdict(float), self._times
+        times = self._times
+        try:
+            yield times
+            self.sync()
+            self._collect()
+        finally:
+            self._times = outer
+
+    def _collect(self):
+        """Add the device's own event times to `self._times`."""
+
+    @contextmanager
+    def host_work(self, stage: str):
+        """Count the time of work done on the host (a library FFT, say) as the stage's."""
+        self.sync()
+        start = time.perf_counter()
+        yield
+        if self._times is not None:
+            self._times[stage] += 1e3 * (time.perf_counter() - start)

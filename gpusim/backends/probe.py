@@ -1,0 +1,186 @@
+"""What devices there are, and whether they work: each is tried in a process of its own, for drivers may abort.
+
+Results are kept in the user's cache folder until the packages, the drivers or the environment change.
+`python -m gpusim.backends.probe opencl:0` tries one device and prints what it found as JSON.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.backends.opencl import cl_devices
+from gpusim.domain.errors import DeviceError, GpusimError
+
+COPY_BYTES = 2**26  # larger than most last-level caches
+TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
+
+
+def best(backend: str = "auto") -> str:
+    """Name of the device to prefer: a GPU, then OpenCL on the CPU by the newest driver.
+
+    backend: "auto" (any), "opencl" or "warp". Raises DeviceError with every device's reason when none works.
+    """
+    entries = [entry for entry in devices() if backend in ("auto", entry["name"].partition(":")[0])
+               and entry["name"] != "numpy"]
+    usable = [entry for entry in entries if not entry["error"]]
+    if not usable:
+        reasons = "; ".join(f"{entry['name']}: {entry['error']}" for entry in entries) or "none was found"
+        raise DeviceError(f"no usable {'' if backend == 'auto' else backend + ' '}device ({reasons}); "
+                          "--device numpy always works")
+    return max(usable, key=_preference)["name"]
+
+
+def _preference(entry):
+    numbers = "".join(c if c.isdigit() else " " for c in entry["driver"]).split()
+    return entry["gpu"], entry["name"].startswith("opencl"), tuple(map(int, numbers)), entry["copy_gbps"]
+
+
+def devices(refresh: bool = False) -> list[dict]:
+    """One entry per device: name, device, driver, version, units, fp64, fp16, gpu, memory [byte], copy_gbps, error.
+
+    error is "" for a usable device, else why it is not. refresh: measure again instead of reading the cache.
+    """
+    cache = _cache_path()
+    if not refresh and cache.exists():
+        try:
+            return json.loads(cache.read_text())
+        except ValueError:  # left half-written by another program
+            pass
+    entries = [_try(name) for name in _names()]
+    try:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        temporary = cache.with_suffix(f".{os.getpid()}")
+        temporary.write_text(json.dumps(entries))
+        temporary.replace(cache)
+    except OSError:  # a read-only home only costs the time of the next probe
+        pass
+    return entries
+
+
+def _cache_path():
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
+    facts = [sys.executable, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
+        "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES"))]
+    for package in ("gpusim", "pyopencl", "pocl-binary-distribution", "warp-lang"):
+        try:
+            facts.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            facts.append(f"no {package}")
+    vendors = Path(os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors"))
+    facts += sorted(f"{icd} {icd.stat().st_mtime_ns}" for icd in vendors.glob("*.icd")) if vendors.is_dir() else []
+    return folder / f"devices-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+
+
+def _names():
+    """Names of all devices, asked for in a process of its own."""
+    result = _run("list")
+    return ["numpy", *json.loads(result.stdout.splitlines()[-1])] if result.returncode == 0 else ["numpy", "warp:cpu"]
+
+
+def _try(name):
+    entry = {"name": name, "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False,
+             "gpu": False, "memory": 0, "copy_gbps": 0.0, "error": ""}
+    try:
+        result = _run(name)
+    except subprocess.TimeoutExpired:
+        return entry | {"error": f"no answer within {TIME_LIMIT} s"}
+    lines = result.stdout.splitlines()
+    if result.returncode == 0 and lines:
+        return entry | json.loads(lines[-1])
+    last = (result.stderr.strip().splitlines() or ["no message"])[-1]
+    return entry | {"error": f"its driver ended the process (status {result.returncode}): {last}"}
+
+
+def _run(argument):
+    return subprocess.run([sys.executable, "-m", "gpusim.backends.probe", argument], capture_output=True, text=True,
+                          timeout=TIME_LIMIT, check=False)
+
+
+def _list():
+    names = [f"opencl:{number}" for number in range(len(cl_devices()))] + ["warp:cpu"]
+    try:
+        import warp as wp
+
+        wp.config.quiet = True
+        wp.init()
+        names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
+    except Exception:  # its own entry, warp:cpu, will say why
+        pass
+    return names
+
+
+def _describe(name):
+    from gpusim.backends.select import open_device
+
+    device = open_device(name)
+    if device.kind == "opencl":
+        cl_device = device.cl_device
+        extensions = cl_device.extensions.split()
+        entry = {"device": cl_device.name.strip(), "driver": f"{cl_device.platform.name} {cl_device.driver_version}",
+                 "version": cl_device.version.strip(), "units": cl_device.max_compute_units, "gpu": device.is_gpu,
+                 "fp64": "cl_khr_fp64" in extensions, "fp16": "cl_khr_fp16" in extensions}
+    elif device.kind == "warp":
+        import warp as wp
+
+        gpu = device.is_gpu
+        driver = ".".join(map(str, wp.get_cuda_driver_version())) if gpu else "none"
+        entry = {"device": device.wp_device.name if gpu else platform.processor() or platform.machine(),
+                 "driver": f"CUDA {driver}" if gpu else "LLVM", "version": f"Warp {wp.__version__}", "gpu": gpu,
+                 "units": device.wp_device.sm_count if gpu else 1, "fp64": True, "fp16": gpu}
+    else:
+        return {"device": platform.processor() or platform.machine(), "driver": f"NumPy {np.__version__}",
+                "version": f"NumPy {np.__version__}", "units": 1, "fp64": True, "memory": device.memory,
+                "copy_gbps": _numpy_copy_gbps()}
+    return entry | {"memory": device.memory, "copy_gbps": copy_gbps(device)}
+
+
+def copy_gbps(device) -> float:
+    """Measured bandwidth of a copy kernel [GB/s], bytes read plus bytes written; best of ten.
+
+    Raises DeviceError when the copy is not the original.
+    """
+    values = np.arange(COPY_BYTES // 4, dtype=np.float32)
+    source, target = device.array(values), device.empty(values.shape)
+    best_ms = np.inf
+    for _ in range(10):
+        with device.timed() as ms:
+            device.launch("common.copy", "copy", values.shape, source, target, len(values))
+        best_ms = min(best_ms, ms["common.copy"])
+    if not np.array_equal(device.numpy(target), values):
+        raise DeviceError(f"{device.name}: a copy kernel returned other values than it was given")
+    return 2 * COPY_BYTES / best_ms / 1e6
+
+
+def _numpy_copy_gbps():
+    source, target = np.ones(COPY_BYTES // 4, np.float32), np.ones(COPY_BYTES // 4, np.float32)
+    seconds = []
+    for _ in range(5):
+        start = time.perf_counter()
+        np.copyto(target, source)
+        seconds.append(time.perf_counter() - start)
+    return 2 * COPY_BYTES / min(seconds) / 1e9
+
+
+def _main(argument):
+    if argument == "list":
+        print(json.dumps(_list()))
+        return
+    try:
+        found = _describe(argument)
+    except GpusimError as error:
+        found = {"error": str(error)}
+    except Exception as error:  # whatever a driver raises is the reason why the device is unusable
+        found = {"error": f"{type(error).__name__}: {error}".splitlines()[0]}
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])

@@ -1,0 +1,86 @@
+"""Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
+
+import time
+from importlib import import_module
+from importlib.util import find_spec
+
+import numpy as np
+
+from gpusim.backends.device import Device
+from gpusim.domain.errors import DeviceError
+
+
+class WarpDevice(Device):
+    """One Warp device: `cpu` or `cuda:N`."""
+
+    kind = "warp"
+
+    def __init__(self, alias: str, name: str):
+        super().__init__()
+        import warp as wp
+
+        wp.config.quiet = True
+        wp.init()
+        try:
+            self.wp_device = wp.get_device(alias)
+        except Exception as error:  # Warp raises ValueError or RuntimeError by version
+            raise DeviceError(f"{name}: {error}") from error
+        self._wp = wp
+        self.name = name
+        self.is_gpu = self.wp_device.is_cuda
+        self.on_host = not self.is_gpu
+        self.array_type = wp.array
+        self._events = []
+        self.build_ms = {}
+
+    @property
+    def memory(self):
+        return self.wp_device.free_memory if self.is_gpu else super().memory
+
+    def array(self, values, dtype=np.float32):
+        if isinstance(values, self._wp.array):
+            return values
+        values = np.ascontiguousarray(values, dtype)
+        return self._wp.array(values, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device,
+                              copy=not self.on_host)
+
+    def empty(self, shape, dtype=np.float32):
+        return self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device)
+
+    def numpy(self, array):
+        return array if isinstance(array, np.ndarray) else array.numpy()
+
+    def launch(self, stage, kernel, grid, *args, defines=None, group=None):
+        entry = self._kernel(stage, kernel)
+        options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
+        begin = time.perf_counter()
+        if self._times is not None and self.is_gpu:
+            first = self._wp.Event(self.wp_device, enable_timing=True)
+            last = self._wp.Event(self.wp_device, enable_timing=True)
+            self._wp.record_event(first)
+            self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
+            self._wp.record_event(last)
+            self._events.append((stage, first, last))
+            return
+        self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
+        if self._times is not None:
+            self._times[stage] += 1e3 * (time.perf_counter() - begin)  # Warp's CPU launches return when done
+
+    def _kernel(self, stage, kernel):
+        module = f"gpusim.kernels.{stage}_warp"
+        if find_spec(module) is None:
+            raise DeviceError(f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py")
+        loaded = import_module(module)
+        if stage not in self.build_ms:
+            start = time.perf_counter()
+            self._wp.load_module(loaded, device=self.wp_device)
+            self.build_ms[stage] = 1e3 * (time.perf_counter() - start)
+        return getattr(loaded, kernel)
+
+    def sync(self):
+        self._wp.synchronize_device(self.wp_device)
+
+    def _collect(self):
+        for stage, first, last in self._events:
+            self._times[stage] += self._wp.get_event_elapsed_time(first, last)
+        self._events.clear()

@@ -1,0 +1,11 @@
+"""Reads and writes every element once: the ceiling that other kernels are measured against."""
+
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def copy(data: wp.array[float], out: wp.array[float], count: int):
+    i = wp.tid()
+    out[i] = data[i]
