@@ -1,0 +1,267 @@
+"""Cameras: the built-in ones, and camera files (TOML)."""
+
+import csv
+import dataclasses
+import difflib
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.data.curves import CHANNELS, curve
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.camera import Camera
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadFile, GpusimError, UnknownName
+from gpusim.domain.optics import Optics
+from gpusim.domain.processor import Processor
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.spectrum import Spectrum
+
+_FOLDER = Path(__file__).with_name("cameras")
+
+
+def camera_names() -> list[str]:
+    """Names of the built-in cameras, sorted."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def open_camera(name_or_path) -> Camera:
+    """Open a built-in camera by its name, or a camera file (TOML).
+
+    A file's keys are the fields of Optics, Sensor, Processor and Display; a key that has a unit ends in it, such as
+    `pixel_pitch_um`. Raises BadFile, naming file and key, and UnknownName for a name that is neither.
+    """
+    if name_or_path in camera_names():
+        return _read(_FOLDER / f"{name_or_path}.toml")
+    path = Path(name_or_path)
+    if path.suffix != ".toml" and not path.exists():
+        raise UnknownName("camera", str(name_or_path), camera_names())
+    return _read(path)
+
+
+class _Wanted(Exception):
+    """A value of the wrong type; the message says what was wanted."""
+
+
+def _number(per_unit=1.0):
+    """Return a reader of a number given in a unit of which there are `per_unit` in the unit used inside."""
+    def read(value):
+        if type(value) not in (int, float):
+            raise _Wanted("a number")
+        try:
+            return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
+        except OverflowError:  # a whole number beyond the floating-point range
+            raise _Wanted("a smaller number") from None
+    return read
+
+
+def _number_or_auto(per_unit=1.0):
+    def read(value):
+        if value == "auto":
+            return None
+        try:
+            return _number(per_unit)(value)
+        except _Wanted:
+            raise _Wanted('a number or "auto"') from None
+    return read
+
+
+def _of(kind, wanted):
+    def read(value):
+        if type(value) is not kind:
+            raise _Wanted(wanted)
+        return value
+    return read
+
+
+def _texts(value):
+    if type(value) is not list or not all(type(item) is str for item in value):
+        raise _Wanted('a list of texts, such as ["RG", "GB"]')
+    return tuple(value)
+
+
+_text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(bool, "true or false")
+
+
+def _curve(value):
+    return value  # read later, when the folder and the mosaic are known
+
+
+def _number_or_curve(value):
+    return _number()(value) if type(value) in (int, float) else _curve(value)
+
+
+# [section] key: (field of the domain's class, reader). MICRO = 1e6 micrometres in a metre, and so on.
+_MILLI, _MICRO = 1e3, 1e6
+_OPTICS = {
+    "f_number": ("f_number", _number()),
+    "focal_length_mm": ("focal_length", _number(_MILLI)),
+    "model": ("model", _text),
+    "transmission": ("transmission", _number_or_curve),
+    "relative_illumination": ("relative_illumination", _text),
+    "object_distance_m": ("object_distance", _number()),
+}
+_SENSOR = {
+    "pixel_pitch_um": ("pixel_pitch", _number(_MICRO)),
+    "fill_factor": ("fill_factor", _number()),
+    "cfa": ("cfa", _texts),
+    "qe": ("qe", _curve),
+    "photodetector": ("photodetector", _curve),
+    "ir_cut": ("ir_cut", _curve),
+    "exposure_time_ms": ("exposure_time", _number_or_auto(_MILLI)),
+    "full_well_e": ("full_well", _number()),
+    "bits": ("bits", _whole),
+    "black_level_dn": ("black_level", _whole),
+    "gain_dn_per_e": ("gain", _number_or_auto()),
+    "read_noise_e": ("read_noise", _number()),
+    "dark_current_e_per_s": ("dark_current", _number()),
+    "prnu": ("prnu", _number()),
+    "dsnu_e": ("dsnu", _number()),
+    "photon_noise": ("photon_noise", _yes_no),
+    "fixed_pattern_seed": ("fixed_pattern_seed", _whole),
+}
+_PROCESSOR = {key: (key, _text) for key in ("demosaic", "white_balance", "color", "training", "exposure")}
+_DISPLAY = {"name": ("name", _text)}
+_SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "processor": _PROCESSOR, "display": _DISPLAY}
+
+
+def _read(path):
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadFile(path, error.strerror or str(error)) from None
+    except ValueError as error:  # bad TOML (with the line) and bad UTF-8
+        raise BadFile(path, f"not TOML: {error}") from None
+    try:
+        return _camera(path, table)
+    except BadFile:
+        raise
+    except GpusimError as error:  # the domain's own checks know the key but not the file
+        raise BadFile(path, str(error)) from None
+
+
+def _camera(path, table):
+    name = table.pop("name", path.stem)
+    if type(name) is not str:
+        raise BadFile(path, f"name = {name!r}: wanted a text")
+    for section in table:
+        if section not in _SECTIONS:
+            raise BadFile(path, f"unknown section [{section}]{_near(section, _SECTIONS)}")
+    optics, sensor = _fields(path, table, "optics", Optics), _fields(path, table, "sensor", Sensor)
+    if not isinstance(optics.get("transmission", 1.0), float):
+        optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
+    sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
+    display = _fields(path, table, "display").get("name", "srgb")
+    if display not in DISPLAYS:
+        raise UnknownName("display.name", display, DISPLAYS)
+    processor = Processor(**_fields(path, table, "processor"))
+    reflectances(processor.training)  # raises here, where the file can be named, rather than in the first frame
+    return Camera(name, Optics(**optics), Sensor(**sensor), processor, DISPLAYS[display])
+
+
+def _fields(path, table, section, cls=None):
+    """One section's keys as arguments of `cls`, whose fields without a default must be there."""
+    known = _SECTIONS[section]
+    given = table.get(section, {})
+    if type(given) is not dict:
+        raise BadFile(path, f"{section} = {given!r}: wanted a section [{section}]")
+    fields = {}
+    for key, value in given.items():
+        if key not in known:
+            raise BadFile(path, f"unknown key {key!r} in [{section}]{_near(key, known)}")
+        field, read = known[key]
+        try:
+            fields[field] = read(value)
+        except _Wanted as wanted:
+            raise BadFile(path, f"[{section}] {key} = {value!r}: wanted {wanted}") from None
+    required = {field.name for field in dataclasses.fields(cls) if field.default is dataclasses.MISSING} if cls else ()
+    missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
+    if missing:
+        raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
+    return fields
+
+
+def _near(name, known):
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+
+
+def _efficiency(path, sensor):
+    """Return colour filter x photodetector x infrared cut, and the letters of its curves; takes them out of `sensor`.
+
+    Only the curves whose letters the mosaic uses are kept: red, green and blue first, then in the table's order.
+    """
+    spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
+    used = set("".join(sensor.get("cfa", Sensor.cfa)))
+    if not used <= set(letters):
+        raise BadFile(path, f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}; "
+                            f"it has {', '.join(letters) or 'one without a letter'}")
+    channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
+    rows = [letters.index(letter) for letter in channels]
+    product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
+    for key in ("photodetector", "ir_cut"):
+        if key in sensor:
+            product = _product(path, product, _single(path, f"[sensor] {key}", sensor.pop(key)))
+    return product, channels
+
+
+def _product(path, first, second):
+    """Product of two tables at the nodes of both, where both are defined; `first` may hold several functions."""
+    nodes = np.union1d(first.wavelengths, second.wavelengths)
+    low = max(first.wavelengths[0], second.wavelengths[0])
+    high = min(first.wavelengths[-1], second.wavelengths[-1])
+    nodes = nodes[(nodes >= low) & (nodes <= high)]
+    if len(nodes) < 2:
+        raise BadFile(path, f"[sensor] {first.name} and {second.name} have no wavelengths in common")
+    return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
+
+
+def _single(path, label, value):
+    """Read a curve that is one function of wavelength."""
+    spectrum, _ = _curves(path, label, value)
+    if len(spectrum.values) != 1:
+        raise BadFile(path, f"{label}: wanted one curve, got {len(spectrum.values)}")
+    return Spectrum(spectrum.wavelengths, spectrum.values[0], spectrum.name)
+
+
+def _curves(path, label, value):
+    """Read a named table, a .csv file beside the camera file or an inline table: Spectrum (C, L) and C letters."""
+    if type(value) is dict:
+        columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
+        if "wavelengths_nm" not in value or not columns:
+            raise BadFile(path, f"{label}: wanted wavelengths_nm = [...] and one list of values per curve")
+        try:
+            wavelengths = np.array(value["wavelengths_nm"], np.float64)
+            values = np.array(list(columns.values()), np.float64)
+        except (TypeError, ValueError):
+            raise BadFile(path, f"{label}: wanted lists of equally many numbers") from None
+        return Spectrum(wavelengths, values, label), tuple(columns)
+    if type(value) is not str:
+        raise BadFile(path, f"{label} = {value!r}: wanted a curve's name, a .csv file or a table of wavelengths_nm "
+                            "and values")
+    if value.endswith(".csv"):
+        return _read_csv(path.parent / value)
+    try:
+        spectrum = curve(value)
+    except UnknownName as error:
+        raise BadFile(path, f"{label}: {error}") from None
+    return (Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value), tuple(CHANNELS[value]))
+
+
+def _read_csv(path):
+    """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = [[cell.strip() for cell in line] for line in csv.reader(file) if any(map(str.strip, line))]
+    except OSError as error:
+        raise BadFile(path, error.strerror or str(error)) from None
+    except (ValueError, csv.Error) as error:
+        raise BadFile(path, str(error)) from None
+    if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
+        raise BadFile(path, "the first line must be wavelength_nm,R,G,B or the like")
+    try:
+        table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
+    except ValueError:
+        raise BadFile(path, f"wanted {len(lines[0])} numbers on every line after the first") from None
+    return Spectrum(table[0], table[1:], path.name), tuple(lines[0][1:])

@@ -1,0 +1,50 @@
+"""How much error a frame may carry."""
+
+from dataclasses import dataclass
+
+from gpusim.domain.errors import OutOfRange, UnknownName
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Bounds on the error of the mean electrons; those that are None do not bind.
+
+    rms: relative root mean square error over the frame [1].
+    p999_sigma: 99.9 % quantile over the pixels of |error| / that pixel's own noise sigma [1].
+    max_sigma: the same at the worst pixel [1].
+    Raises OutOfRange.
+    """
+
+    rms: float | None = None
+    p999_sigma: float | None = None
+    max_sigma: float | None = None
+
+    def __post_init__(self):
+        bounds = {"rms": self.rms, "p999_sigma": self.p999_sigma, "max_sigma": self.max_sigma}
+        for key, value in bounds.items():
+            if value is not None and not 0 < value < float("inf"):
+                raise OutOfRange(f"tolerance.{key}", value, f"0 < {key} < inf")
+        if all(value is None for value in bounds.values()):
+            raise OutOfRange("tolerance", "none", "at least one of rms, p999_sigma, max_sigma")
+
+    @classmethod
+    def parse(cls, text: "str | float | Tolerance") -> "Tolerance":
+        """Read a preset's name ("preview", "video", "metrology") or a relative RMS error such as "1e-4".
+
+        Raises UnknownName, OutOfRange.
+        """
+        if isinstance(text, Tolerance):
+            return text
+        if text in PRESETS:
+            return PRESETS[text]
+        try:
+            return cls(rms=float(text))
+        except ValueError:
+            raise UnknownName("tolerance (a preset or a relative RMS error)", text, PRESETS) from None
+
+
+PRESETS = {
+    "preview": Tolerance(p999_sigma=0.5),
+    "video": Tolerance(p999_sigma=0.1),
+    "metrology": Tolerance(max_sigma=0.01),
+}

@@ -1,0 +1,463 @@
+"""The camera's parts, the built-in cameras and camera files."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.special import jn_zeros
+
+from gpusim.data.cameras import camera_names, open_camera
+from gpusim.data.curves import CHANNELS, curve, curve_names
+from gpusim.domain.camera import Camera
+from gpusim.domain.display import Display
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.optics import Optics
+from gpusim.domain.processor import Processor
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.tolerance import Tolerance
+
+ULPS = 1e-14  # some ten float64 operations, each rounding by at most 1.1e-16
+
+# ---------------------------------------------------------------------------------------------------------- optics
+
+
+def test_irradiance_factor_is_the_projected_solid_angle_of_the_aperture():
+    # pi sin^2(theta), with the marginal ray from the image point to the edge of the aperture.
+    optics = Optics(f_number=2.8, focal_length=50e-3, object_distance=0.4)
+    marginal = np.arctan2(50e-3 / 2.8 / 2, optics.image_distance)
+    assert optics.irradiance_factor == pytest.approx(np.pi * np.sin(marginal) ** 2, rel=ULPS)
+
+
+def test_irradiance_factor_agrees_with_isetcam():
+    # ISETCam 3b10ec1: f/4, 3.9 mm, object at 1.2 m; its result is known to 5 digits, so to half of the last.
+    assert Optics(4.0, 3.9e-3, object_distance=1.2).irradiance_factor == pytest.approx(0.048023, abs=5e-7)
+
+
+def test_irradiance_factor_tends_to_the_textbook_limit():
+    slow = Optics(f_number=100.0, focal_length=0.05)
+    # pi / (1 + x) against pi / x with x = 4 N^2 = 4e4: differs by 1 / x to first order.
+    assert slow.irradiance_factor == pytest.approx(np.pi / 4e4, rel=2.6e-5)
+    assert slow.irradiance_factor < np.pi / 4e4
+
+
+def test_magnification_and_image_distance_obey_the_thin_lens_equation():
+    optics = Optics(2.0, 0.05, object_distance=0.3)
+    assert 1 / optics.image_distance + 1 / 0.3 == pytest.approx(1 / 0.05, rel=ULPS)
+    assert optics.magnification == pytest.approx(-optics.image_distance / 0.3, rel=ULPS)
+    far = Optics(2.0, 0.05)
+    assert (far.magnification, far.image_distance, far.working_f_number) == (0, 0.05, 2.0)
+
+
+def test_airy_radius_is_the_first_zero_of_j1():
+    wavelengths = np.array([400.0, 550.0, 700.0])
+    expected = jn_zeros(1, 1)[0] / np.pi * wavelengths * 1e-9 * 5.6
+    np.testing.assert_allclose(Optics(5.6, 0.017).airy_radius(wavelengths), expected, rtol=ULPS)
+    # The chapter's example says 3.76 um for the radius at 550 nm and f/5.6, with 1.22 for 1.21967.
+    assert Optics(5.6, 0.017).airy_radius(550) == pytest.approx(3.76e-6, abs=0.005e-6)
+
+
+def test_transmission_holds_its_end_values():
+    glass = Optics(2.0, 0.05, transmission=Spectrum([400, 700], [0.8, 0.9]))
+    np.testing.assert_allclose(glass.transmission_at([300, 550, 900]), [0.8, 0.85, 0.9], rtol=ULPS)
+    np.testing.assert_array_equal(Optics(2.0, 0.05, transmission=0.5).transmission_at([400, 500]), [0.5, 0.5])
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("f_number", 0), ("f_number", -2.8), ("f_number", np.nan), ("f_number", np.inf), ("focal_length", 0),
+    ("focal_length", np.inf), ("object_distance", 0.05), ("object_distance", np.nan), ("transmission", 1.01),
+    ("transmission", np.nan), ("transmission", Spectrum([400, 700], [-0.1, 0.9])),
+])
+def test_optics_out_of_range(key, value):
+    with pytest.raises(OutOfRange, match=f"optics.{key} = .*allowed is"):
+        Optics(**{"f_number": 2.0, "focal_length": 0.05, key: value})
+
+
+def test_optics_names_and_shapes():
+    with pytest.raises(UnknownName, match="did you mean 'diffraction'"):
+        Optics(2.0, 0.05, model="difraction")
+    with pytest.raises(UnknownName, match=r"optics\.relative_illumination"):
+        Optics(2.0, 0.05, relative_illumination="cosine")
+    with pytest.raises(BadData, match="one function"):
+        Optics(2.0, 0.05, transmission=Spectrum([400, 700], np.ones((3, 2))))
+
+
+# ---------------------------------------------------------------------------------------------------------- sensor
+
+RGB = Spectrum([400, 500, 600, 700], np.array([[0, 0, 0.5, 0.5], [0, 0.6, 0.3, 0], [0.5, 0.4, 0, 0]]))
+
+
+def sensor(**changes):
+    return Sensor(**{"pixel_pitch": 1.4e-6, "qe": RGB, "full_well": 6000.0, "bits": 10, **changes})
+
+
+@pytest.mark.parametrize(("cfa", "indices", "red"), [
+    (("RG", "GB"), [[0, 1], [1, 2]], (0, 0)), (("GR", "BG"), [[1, 0], [2, 1]], (0, 1)),
+    (("GB", "RG"), [[1, 2], [0, 1]], (1, 0)), (("BG", "GR"), [[2, 1], [1, 0]], (1, 1)),
+    (("RB", "GG"), [[0, 2], [1, 1]], None), (("RGB",), [[0, 1, 2]], None),
+])
+def test_mosaic(cfa, indices, red):
+    made = sensor(cfa=cfa)
+    assert made.cfa_indices.dtype == np.int32
+    np.testing.assert_array_equal(made.cfa_indices, indices)
+    assert made.bayer_phase == red
+    assert not made.is_monochrome
+
+
+def test_monochrome_is_one_by_one():
+    made = sensor(channels=("Y",), cfa=("Y",), qe=Spectrum([400, 700], [[0.5, 0.6]]))
+    np.testing.assert_array_equal(made.cfa_indices, [[0]])
+    assert made.is_monochrome and made.bayer_phase is None
+
+
+def test_full_well_is_white_unless_a_gain_is_given():
+    made = sensor(black_level=64)
+    assert made.white_level == 1023
+    assert 64 + made.gain_dn_per_electron * 6000 == pytest.approx(1023, rel=ULPS)
+    assert made.saturation == 6000
+    assert sensor(black_level=64, gain=0.1).saturation == 6000  # 9590 e- would fill the converter: the well is first
+    assert sensor(black_level=64, gain=1.0).saturation == 959  # the converter is first
+
+
+def test_aperture_has_the_area_of_the_fill_factor():
+    assert sensor(fill_factor=0.75).aperture ** 2 == pytest.approx(0.75 * 1.4e-6**2, rel=ULPS)
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("pixel_pitch", 0), ("pixel_pitch", -1e-6), ("pixel_pitch", np.nan), ("pixel_pitch", 1.4), ("fill_factor", 0),
+    ("fill_factor", 1.4), ("exposure_time", 0), ("exposure_time", np.inf), ("full_well", 0), ("bits", 0), ("bits", 17),
+    ("bits", 9.5), ("black_level", -1), ("black_level", 1023), ("black_level", 0.5), ("gain", 0), ("gain", np.nan),
+    ("read_noise", -1), ("dark_current", -1), ("prnu", 1), ("prnu", -0.1), ("dsnu", np.inf),
+    ("fixed_pattern_seed", -1), ("fixed_pattern_seed", 2**64),
+])
+def test_sensor_out_of_range(key, value):
+    with pytest.raises(OutOfRange, match=f"sensor.{key} = .*allowed is"):
+        sensor(**{key: value})
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"cfa": ("RG", "GW")}, "letters must be those of the curves"),
+    ({"cfa": ("RG", "GR")}, "letters must be those of the curves"),  # no blue pixel: nothing to make blue of
+    ({"cfa": ("RG", "B")}, "equally many"), ({"cfa": ()}, "1 to 8 rows"), ({"cfa": ("RGB" * 3,)}, "at most 8"),
+    ({"channels": ("R", "G", "R")}, "twice"), ({"channels": ("red", "G", "B")}, "one letter"),
+    ({"channels": ("R", "G")}, r"wanted \(2, wavelengths\)"), ({"qe": Spectrum([400, 700], [0.5, 0.5])}, "wanted"),
+])
+def test_sensor_mosaic_and_curves_must_agree(changes, words):
+    with pytest.raises(BadData, match=words):
+        sensor(**changes)
+
+
+@pytest.mark.parametrize("value", [-0.01, 1.01])
+def test_quantum_efficiency_is_a_fraction(value):
+    with pytest.raises(OutOfRange, match=r"sensor\.qe"):
+        sensor(qe=Spectrum([400, 700], [[0.5, value]] * 3))
+
+
+# ------------------------------------------------------------------------------ processor, display, camera, tolerance
+
+
+@pytest.mark.parametrize("key", ["demosaic", "white_balance", "color", "exposure"])
+def test_processor_names(key):
+    with pytest.raises(UnknownName, match=f"processor.{key}"):
+        Processor(**{key: "best"})
+
+
+def test_srgb_matrix_is_the_standard_one():
+    # IEC 61966-2-1 prints four decimals, so half a unit of the last.
+    printed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    np.testing.assert_allclose(Display().xyz_from_rgb, printed, atol=5.1e-5)
+    # The condition number is below 10: ten roundings of 1.1e-16, times that.
+    np.testing.assert_allclose(Display().rgb_from_xyz @ Display().xyz_from_rgb, np.eye(3), atol=1e-14)
+    x, y, z = Display().xyz_from_rgb.sum(1)
+    assert (x / (x + y + z), y / (x + y + z), y) == pytest.approx((0.3127, 0.3290, 1), rel=ULPS)
+
+
+def test_display_agrees_with_colour_science():
+    colour = pytest.importorskip("colour", reason="colour-science is not installed")
+    wide = Display("p3", ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)), (0.3127, 0.3290))
+    judge = colour.normalised_primary_matrix(wide.primaries, wide.white)
+    # The condition number of the primaries is about 10, and either side solves once: 10 x some ten roundings.
+    np.testing.assert_allclose(wide.xyz_from_rgb, judge, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(("changes", "error"), [
+    ({"encoding": "gamma"}, UnknownName), ({"white": (0.3, 0.3, 0.4)}, BadData), ({"white": (0.9, 0.3)}, OutOfRange),
+    ({"primaries": ((0.2, 0.2), (0.3, 0.3), (0.4, 0.4))}, BadData), ({"white": (0.3, 0.0)}, OutOfRange),
+])
+def test_display_refuses(changes, error):
+    with pytest.raises(error, match="display"):
+        Display(**changes)
+
+
+def test_monochrome_has_no_colour():
+    mono = sensor(channels=("Y",), cfa=("Y",), qe=Spectrum([400, 700], [[0.5, 0.6]]))
+    with pytest.raises(OutOfRange, match=r"processor\.color"):
+        Camera("mono", Optics(2.0, 0.05), mono)
+    assert Camera("mono", Optics(2.0, 0.05), mono, Processor(color="none")).display.name == "srgb"
+
+
+def test_tolerance_presets_and_numbers():
+    assert Tolerance.parse("preview") == Tolerance(p999_sigma=0.5)
+    assert Tolerance.parse("video") == Tolerance(p999_sigma=0.1)
+    assert Tolerance.parse("metrology") == Tolerance(max_sigma=0.01)
+    assert Tolerance.parse("1e-4") == Tolerance.parse(1e-4) == Tolerance(rms=1e-4)
+    assert Tolerance.parse(Tolerance(rms=0.1)) == Tolerance(rms=0.1)
+
+
+@pytest.mark.parametrize(("text", "error", "words"), [
+    ("vidoe", UnknownName, "did you mean 'video'"), ("fast!", UnknownName, "metrology, preview, video"),
+    ("0", OutOfRange, "tolerance.rms = 0"), ("-1e-3", OutOfRange, "tolerance.rms"),
+    ("nan", OutOfRange, "tolerance.rms"), ("inf", OutOfRange, "tolerance.rms"),
+])
+def test_tolerance_refuses(text, error, words):
+    with pytest.raises(error, match=words):
+        Tolerance.parse(text)
+
+
+def test_tolerance_must_bind_something():
+    with pytest.raises(OutOfRange, match="at least one"):
+        Tolerance()
+
+
+# ------------------------------------------------------------------------------------------- curves, built-in cameras
+
+# The source array of every table in ISETCam's spectra, and what it is divided by: one is in percent.
+SOURCES = {"mt9v024": ("cf_MT9V024_RGBW", 1), "iset-rgb": ("cf_RGB", 1), "ir-cut-phone": ("qe_ircf_public", 1),
+           "ir-cut-schott": ("qe_irFilter_schott", 1), "cmos-photodetector": ("qe_cmosPhotodetectorQE", 100)}
+
+
+@pytest.mark.parametrize("name", curve_names())
+def test_curves_are_fractions_with_a_letter_each(name):
+    values = curve(name).values
+    assert values.shape == ((len(CHANNELS[name]), 31) if CHANNELS[name] else (31,))
+    assert values.min() >= 0 and 0.3 < values.max() <= 1
+
+
+@pytest.mark.parametrize("name", curve_names())
+def test_curves_are_those_of_the_source(name, shared_data):
+    with np.load(shared_data / "isetcam" / "isetcam_spectra.npz") as spectra:
+        array, divisor = SOURCES[name]
+        np.testing.assert_array_equal(curve(name).values, spectra[array].T / divisor)
+        np.testing.assert_array_equal(curve(name).wavelengths, spectra["wave"])
+
+
+def test_unknown_curve():
+    with pytest.raises(UnknownName, match="did you mean 'mt9v024'"):
+        curve("mt9v034")
+
+
+def test_every_built_in_camera_opens():
+    assert camera_names() == ["figure8", "machine-vision", "mono", "phone"]
+    for name in camera_names():
+        assert open_camera(name).name == name
+
+
+@pytest.mark.parametrize("name", ["figure8", "machine-vision", "phone"])
+def test_colour_cameras_see_red_green_and_blue_where_they_are(name):
+    made = open_camera(name).sensor
+    assert made.channels == ("R", "G", "B") and made.bayer_phase is not None
+    red, green, blue = made.qe.at(np.array([610.0, 540.0, 460.0]))
+    assert red.argmax() == 0 and green.argmax() == 1 and blue.argmax() == 2  # each is best in its own band
+
+
+def test_figure8_is_the_camera_of_the_chapter():
+    camera = open_camera("figure8")
+    assert (camera.optics.f_number, camera.optics.focal_length, camera.optics.object_distance) == (2.4, 3.9e-3, np.inf)
+    assert (camera.sensor.pixel_pitch, camera.sensor.fill_factor) == (1.4e-6, 0.75)
+    assert (camera.optics.model, camera.processor.demosaic) == ("diffraction", "bilinear")
+
+
+def test_pitches():
+    pitches = {name: open_camera(name).sensor.pixel_pitch for name in ("phone", "machine-vision", "mono")}
+    assert pitches == {"phone": 1.4e-6, "machine-vision": 3e-6, "mono": pytest.approx(5.86e-6)}
+
+
+def test_phone_efficiency_is_filter_times_infrared_cut():
+    made = open_camera("phone").sensor
+    nodes = np.arange(400.0, 701.0, 10.0)
+    expected = curve("mt9v024").at(nodes)[:3] * curve("ir-cut-phone").at(nodes)
+    np.testing.assert_allclose(made.qe.at(nodes), expected, rtol=ULPS)
+    assert made.qe.at([700.0]).max() < 0.01 < 0.3 < curve("mt9v024").at([700.0]).max()  # the infrared is cut
+
+
+def test_mono_is_one_unfiltered_channel():
+    made = open_camera("mono").sensor
+    assert made.is_monochrome
+    np.testing.assert_array_equal(made.qe.values[0], curve("mt9v024").values[3])
+
+
+# ----------------------------------------------------------------------------------------------------- camera files
+
+MINIMAL = """
+[optics]
+f_number = 2.8
+focal_length_mm = 4.5
+
+[sensor]
+pixel_pitch_um = 1.4
+qe = "mt9v024"
+full_well_e = 6000
+bits = 10
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / "cam.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_minimal_file_takes_the_defaults(tmp_path):
+    camera = open_camera(written(tmp_path, MINIMAL))
+    assert camera.name == "cam"
+    assert camera.optics == Optics(2.8, 4.5e-3)
+    expected = Sensor(1.4e-6, camera.sensor.qe, 6000.0, 10)
+    assert camera.sensor == expected
+    assert (camera.processor, camera.display) == (Processor(), Display())
+
+
+def test_every_key_reaches_its_field_in_si(tmp_path):
+    camera = open_camera(written(tmp_path, """
+name = "bench"
+[optics]
+f_number = 4
+focal_length_mm = 50.0
+model = "none"
+transmission = {wavelengths_nm = [400, 700], values = [0.9, 0.8]}
+relative_illumination = "none"
+object_distance_m = 1.5
+[sensor]
+pixel_pitch_um = 5
+fill_factor = 0.5
+cfa = ["GB", "RG"]
+qe = "iset-rgb"
+exposure_time_ms = 20
+full_well_e = 20000.5
+bits = 14
+black_level_dn = 512
+gain_dn_per_e = 0.25
+read_noise_e = 1.5
+dark_current_e_per_s = 0.1
+prnu = 0.01
+dsnu_e = 0.5
+photon_noise = false
+fixed_pattern_seed = 7
+[processor]
+demosaic = "adaptive"
+white_balance = "none"
+color = "none"
+training = "munsell"
+exposure = "white"
+[display]
+name = "srgb"
+"""))
+    optics, made = camera.optics, camera.sensor
+    assert camera.name == "bench"
+    assert dataclasses.replace(optics, transmission=1.0) == Optics(4.0, 0.05, "none", 1.0, "none", 1.5)
+    assert optics.transmission_at([550.0])[0] == pytest.approx(0.85, rel=ULPS)
+    assert made == Sensor(
+        pixel_pitch=5e-6, qe=made.qe, full_well=20000.5, bits=14, cfa=("GB", "RG"), fill_factor=0.5, exposure_time=0.02,
+        black_level=512, gain=0.25, read_noise=1.5, dark_current=0.1, prnu=0.01, dsnu=0.5, photon_noise=False,
+        fixed_pattern_seed=7, rows=480, cols=640)
+    assert camera.processor == Processor("adaptive", "none", "none", "munsell", "white")
+
+
+def test_generalised_sensor_multiplies_its_parts_where_all_are_known(tmp_path):
+    text = MINIMAL.replace('qe = "mt9v024"', """
+qe = {wavelengths_nm = [400, 500, 600, 700], B = [0.8, 0.4, 0.1, 0], R = [0, 0, 0.9, 0.9], G = [0.2, 0.8, 0.2, 0]}
+photodetector = {wavelengths_nm = [350, 750], values = [0.4, 0.8]}
+ir_cut = {wavelengths_nm = [450, 650, 655], values = [1, 1, 0]}
+""")
+    made = open_camera(written(tmp_path, text)).sensor
+    assert made.channels == ("R", "G", "B")  # by letter, whatever the order in the file
+    np.testing.assert_array_equal(made.qe.wavelengths, [450, 500, 600, 650, 655])
+    # By hand at 500 and 600 nm: photodetector 0.55 and 0.65, infrared cut 1.
+    np.testing.assert_allclose(made.qe.at([500, 600]), np.array([[0, 0.9], [0.8, 0.2], [0.4, 0.1]]) * [0.55, 0.65],
+                               rtol=ULPS)
+    assert made.qe.at([440.0, 655.0, 700.0]).max() == 0
+
+
+def test_efficiency_from_csv(tmp_path):
+    (tmp_path / "mine.csv").write_text("wavelength_nm,Y,R\n400,0.1,0.2\n550.5,0.5,0.3\n\n700,0.3,0.1\n")
+    text = MINIMAL.replace('qe = "mt9v024"', 'qe = "mine.csv"\ncfa = ["Y"]') + '[processor]\ncolor = "none"\n'
+    made = open_camera(written(tmp_path, text)).sensor
+    assert made.channels == ("Y",)
+    np.testing.assert_array_equal(made.qe.wavelengths, [400, 550.5, 700])
+    np.testing.assert_array_equal(made.qe.values, [[0.1, 0.5, 0.3]])
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("bits = 10", "bits = 10\nexposuretime = 3",
+     r"unknown key 'exposuretime' in \[sensor\]; did you mean 'exposure_time_ms'"),
+    ("bits = 10", "bits = 10\nzzz = 3", r"unknown key 'zzz' in \[sensor\]; known: pixel_pitch_um"),
+    ("[sensor]", "[sensr]", r"unknown section \[sensr\]; did you mean 'sensor'"),
+    ("[optics]", "colour = 3\n[optics]", r"unknown section \[colour\]"),
+    ("[optics]\n", "name = 3\n[optics]\n", "name = 3: wanted a text"),
+    ("[optics]", "processor = 3\n[optics]", r"processor = 3: wanted a section \[processor\]"),
+    ("bits = 10\n", "", r"\[sensor\] lacks bits"),
+    ("f_number = 2.8\nfocal_length_mm = 4.5", "", r"\[optics\] lacks f_number, focal_length_mm"),
+    ("bits = 10", "bits = 10.0", r"\[sensor\] bits = 10.0: wanted a whole number"),
+    ("bits = 10", "bits = true", r"\[sensor\] bits = True: wanted a whole number"),
+    ("f_number = 2.8", 'f_number = "f/2.8"', r"\[optics\] f_number = 'f/2.8': wanted a number"),
+    ("f_number = 2.8", "f_number = true", "wanted a number"),
+    ("f_number = 2.8", f"f_number = 1{'0' * 400}", "wanted a smaller number"),
+    ("f_number = 2.8", "f_number = -2.8", r"optics\.f_number = -2.8: allowed is"),
+    ("f_number = 2.8", "f_number = nan", r"optics\.f_number = nan: allowed is"),
+    ("f_number = 2.8", "f_number = 2.8\ntransmission = true", r"\[optics\] transmission = True: wanted"),
+    ("f_number = 2.8", "f_number = 2.8\ntransmission = 2", r"optics\.transmission"),
+    ("f_number = 2.8", "f_number = 2.8\ntransmission = 'iset-rgb'",
+     r"\[optics\] transmission: wanted one curve, got 3"),
+    ("f_number = 2.8", "f_number = 2.8\nf_number = 2.8", "line 4"),
+    ("f_number = 2.8", "f_number = = 2.8", "not TOML: .*line 3"),
+    ("bits = 10", "bits = 10\ncfa = 'RGGB'", r"\[sensor\] cfa = 'RGGB': wanted a list of texts"),
+    ("bits = 10", "bits = 10\ncfa = ['RG', 'GC']", r"\[sensor\] qe has no curve for C; it has R, G, B, W"),
+    ("bits = 10", "bits = 10\ncfa = ['RG', 'B']", r"sensor\.cfa"),
+    ("bits = 10", "bits = 10\ncfa = []", r"sensor\.channels"),
+    ("bits = 10", "bits = 10\nphoton_noise = 1", "wanted true or false"),
+    ("bits = 10", "bits = 10\nexposure_time_ms = 'long'", 'wanted a number or "auto"'),
+    ('"mt9v024"', '"mt9v034"', r"\[sensor\] qe: unknown curve 'mt9v034'; did you mean 'mt9v024'"),
+    ('"mt9v024"', '"cmos-photodetector"', r"\[sensor\] qe has no curve for B, G, R; it has one without a letter"),
+    ('"mt9v024"', '"mine.csv"', r"mine\.csv: No such file"),
+    ('"mt9v024"', "{R = [1, 2]}", r"\[sensor\] qe: wanted wavelengths_nm"),
+    ('"mt9v024"', "{wavelengths_nm = [400, 700], R = [0.1], G = [0.1, 0.2], B = [0.1, 0.2]}", "equally many numbers"),
+    ('"mt9v024"', "{wavelengths_nm = [400, 700], R = ['a', 1], G = [0.1, 0.2], B = [0.1, 0.2]}", "numbers"),
+    ('"mt9v024"', "{wavelengths_nm = [700, 400], R = [0.1, 1], G = [0.1, 0.2], B = [0.1, 0.2]}", "increase strictly"),
+    ('"mt9v024"', "{wavelengths_nm = [400, 700], R = [0.1, nan], G = [0.1, 0.2], B = [0.1, 0.2]}", "NaN"),
+    ('"mt9v024"', '"mt9v024"\nir_cut = {wavelengths_nm = [800, 900], values = [1, 1]}', "no wavelengths in common"),
+    ("bits = 10", "bits = 10\n[processor]\ndemosaic = 'bilinaer'", "did you mean 'bilinear'"),
+    ("bits = 10", "bits = 10\n[processor]\ntraining = 'munsel'", "did you mean 'munsell'"),
+    ("bits = 10", "bits = 10\n[display]\nname = 'crt'", r"display\.name"),
+])
+def test_bad_file_is_refused_by_file_and_key(tmp_path, old, new, words):
+    assert old in MINIMAL
+    with pytest.raises(BadFile, match=words) as caught:
+        open_camera(written(tmp_path, MINIMAL.replace(old, new)))
+    assert "cam.toml" in str(caught.value) or "mine.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    ("", "first line"), ("400,1,2\n", "first line"), ("wavelength_nm\n400\n", "first line"),
+    ("wavelength_nm,R,G,B\n400,1,2\n", "4 numbers"),
+    ("wavelength_nm,R,G,B\n400,a,2,3\n500,1,2,3\n", "4 numbers"),
+    ("wavelength_nm,R,G,B\n", "at least 2 wavelengths"), ("wavelength_nm,R,G,B\n500,0,0,0\n400,0,0,0\n", "increase"),
+])
+def test_bad_csv_is_refused(tmp_path, content, words):
+    (tmp_path / "mine.csv").write_text(content)
+    with pytest.raises(BadFile, match=words) as caught:
+        open_camera(written(tmp_path, MINIMAL.replace("mt9v024", "mine.csv")))
+    assert "mine.csv" in str(caught.value)
+
+
+def test_names_and_files_that_are_not_there(tmp_path):
+    with pytest.raises(UnknownName, match="unknown camera 'phoen'; did you mean 'phone'"):
+        open_camera("phoen")
+    with pytest.raises(BadFile, match=r"none\.toml: No such file"):
+        open_camera(tmp_path / "none.toml")
+    with pytest.raises(BadFile):
+        open_camera(tmp_path)  # a folder
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe[optics]")
+    with pytest.raises(BadFile, match="not TOML"):
+        open_camera(tmp_path / "bytes.toml")
+
+
