@@ -1,0 +1,19 @@
+// One pixel per work-item reads only its own channel. PERIOD_Y and PERIOD_X come from the host.
+__kernel void expose(
+    // in:
+    __global const float *restrict rates,  // [channels][rows][cols]
+    __global const int *restrict cfa,      // [PERIOD_Y][PERIOD_X]
+    // out:
+    __global float *restrict mean,
+    // params:
+    const float exposure_time, const float slope,
+    // sizes:
+    const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    GUARD(x >= cols || y >= rows)
+    const float u = (x - 0.5f * (cols - 1)) * slope, v = (y - 0.5f * (rows - 1)) * slope;
+    const float secant2 = 1.0f + (u * u + v * v);  // 1 / cos^2
+    const int channel = cfa[y % PERIOD_Y * PERIOD_X + x % PERIOD_X];
+    mean[y * cols + x] = exposure_time * rates[((size_t)channel * rows + y) * cols + x] / (secant2 * secant2);
+}

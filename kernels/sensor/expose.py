@@ -1,0 +1,51 @@
+"""Exposure: each pixel takes its own channel, for the exposure time, less what the lens loses toward the corner.
+
+Ports: rates (channels, rows, cols) float32 [e- s-1], cfa (period_y, period_x) int32 -> mean (rows, cols) float32 [e-]:
+
+    mean(y, x) = T cos^4(theta) rates[cfa[y mod period_y, x mod period_x], y, x],   tan(theta) = r slope,
+
+r the distance from the frame's centre [pixel], slope the tangent of the field angle per pixel (0: no fall-off).
+"""
+
+import numpy as np
+
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def expose(device, rates, cfa, exposure_time, slope):
+    """Mean electrons of every pixel of the mosaic.
+
+    rates: electrons per second if every pixel saw every channel, shape (channels, rows, cols). cfa: channel of each
+    pixel of one period, shape (period_y, period_x). exposure_time: [s]. slope: pixel pitch over image distance [1].
+    Returns shape (rows, cols) [e-]. Source: Farrell & Wandell, sections 4.1 (cos^4 law) and 5.1.
+    """
+    channels, rows, cols = rates.shape
+    rates, cfa = device.array(rates), device.array(cfa, np.int32)
+    mean = device.empty((rows, cols))
+    # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
+    device.launch("sensor.expose", "expose", (rows, cols), rates, cfa, mean, float(exposure_time), float(slope),
+                  rows, cols, *(() if device.kind == "opencl" else cfa.shape),
+                  defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]})
+    return mean
+
+
+def cases():
+    """All Bayer phases, monochrome, an odd period, a field of 100 degrees."""
+    random = np.random.default_rng(4)
+    why = ("three roundings of the tangent's square, six of the rest, each at most half an ulp, doubled by the square: "
+           "below 10 ulp")
+    for pattern in ([[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]], [[0]],
+                    [[0, 1, 2], [3, 0, 1]]):
+        for rows, cols, slope in ((1, 1, 0.0), (3, 5, 1e-3), (63, 65, 0.027)):
+            yield Case(f"{rows}x{cols}, cfa {pattern}",
+                       {"rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
+                        "cfa": np.array(pattern, np.int32), "exposure_time": 0.013, "slope": slope},
+                       10 * 2.0**-23, why, metric="local")
+
+
+def bench(rows, cols):
+    """A Bayer mosaic with fall-off."""
+    random = np.random.default_rng(4)
+    return {"rates": random.random((3, rows, cols), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32),
+            "exposure_time": 0.01, "slope": 3e-4}

@@ -1,0 +1,29 @@
+"""One pixel per thread reads only its own channel."""
+
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def expose(
+    # in:
+    rates: wp.array3d[float],
+    cfa: wp.array2d[int],
+    # out:
+    mean: wp.array2d[float],
+    # params:
+    exposure_time: float,
+    slope: float,
+    # sizes:
+    rows: int,
+    cols: int,
+    period_y: int,
+    period_x: int,
+):
+    y, x = wp.tid()
+    u = (float(x) - 0.5 * float(cols - 1)) * slope
+    v = (float(y) - 0.5 * float(rows - 1)) * slope
+    secant2 = 1.0 + (u * u + v * v)  # 1 / cos^2
+    channel = cfa[y % period_y, x % period_x]
+    mean[y, x] = exposure_time * rates[channel, y, x] / (secant2 * secant2)

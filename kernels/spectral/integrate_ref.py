@@ -1,0 +1,8 @@
+"""planes_p(x) = sum_b W_pb content_b(x), float64."""
+
+import numpy as np
+
+
+def integrate(content, weights):
+    """content (bands, rows, cols), weights (planes, bands) -> (planes, rows, cols)."""
+    return np.tensordot(np.asarray(weights, np.float64), np.asarray(content, np.float64), axes=1)

@@ -1,0 +1,43 @@
+"""Planes of a scene of materials: planes_p(x) = shading(x) W[p, id(x)], a table look-up instead of a sum over bands.
+
+Ports: ids (rows, cols) uint16, shading (rows, cols) float32, table (planes, materials) float32
+-> planes (planes, rows, cols) float32. Six bytes a pixel are read instead of a whole spectrum.
+"""
+
+import numpy as np
+
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def materials(device, ids, shading, table):
+    """Weighted planes of a scene that stores one material per pixel.
+
+    ids: shape (rows, cols), each below the number of materials. shading: shape (rows, cols).
+    table: shape (planes, materials), what material m at shading 1 adds to plane p.
+    Returns shape (planes, rows, cols).
+    """
+    rows, cols = ids.shape
+    ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
+    planes, count = table.shape
+    out = device.empty((planes, rows, cols))
+    device.launch("spectral.materials", "materials", (rows, cols), ids, shading, table, out, rows, cols, planes, count)
+    return out
+
+
+def cases():
+    """One material to hundreds, shading over nine decades."""
+    random = np.random.default_rng(2)
+    for rows, cols, planes, count in ((1, 1, 3, 1), (3, 5, 3, 24), (63, 65, 31, 26), (5, 200, 4, 300)):
+        yield Case(f"{rows}x{cols}, {count} materials, {planes} planes",
+                   {"ids": random.integers(0, count, (rows, cols)).astype(np.uint16),
+                    "shading": (10.0 ** random.uniform(-3, 6, (rows, cols))).astype(np.float32),
+                    "table": random.random((planes, count)).astype(np.float32)},
+                   2.0**-24, "one float32 product rounds once: half an ulp", metric="local")
+
+
+def bench(rows, cols):
+    """The 24 patches of a ColorChecker to three channels."""
+    random = np.random.default_rng(2)
+    return {"ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
+            "shading": random.random((rows, cols), np.float32), "table": random.random((3, 24), np.float32)}
