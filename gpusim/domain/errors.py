@@ -27,7 +27,7 @@ class UnknownName(GpusimError):
         known = sorted(known)
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        super().__init__(f"unknown {what} {name!r}{hint} Known: {', '.join(known)}" if not near
+        super().__init__(f"unknown {what} {name!r}{hint}; known: {', '.join(known)}" if not near
                          else f"unknown {what} {name!r}{hint}")
 
 

@@ -1,0 +1,1 @@
+"""What comes with gpusim: lights, reflectances, colorimetry, charts, cameras."""

@@ -1,0 +1,105 @@
+"""Makes the tables of this folder: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz`.
+
+Run by hand when a source changes; the tables are part of the package, so nothing here runs in use. README.md of this
+folder names every source.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.domain.spectrum import Spectrum
+
+HERE = Path(__file__).parent
+
+REFLECTANCE_SETS = {
+    "macbeth": "macbethChart", "munsell": "MunsellSamples_Vhrel", "dupont": "DupontPaintChip_Vhrel",
+    "objects": "Objects_Vhrel", "nature": "Nature_Vhrel", "skin": "Caucasian_Vhrel",
+    "colorchecker-sg": "gretagDigitalColorSG",
+}  # our name: ISETCam's file in data/surfaces/reflectances
+
+
+def build_cie(path=HERE / "cie.npz"):
+    """Colour matching functions, illuminants, daylight basis and ColorChecker, from colour-science."""
+    import colour
+    from colour.colorimetry import SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES as DAYLIGHT
+
+    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    lights = {name: light for name, light in colour.SDS_ILLUMINANTS.items() if not name.startswith("ISO")}
+    wavelengths = np.arange(300.0, 831.0, 5.0)
+    powers = np.full((len(lights), len(wavelengths)), np.nan)  # NaN: outside the published table
+    for row, light in zip(powers, lights.values(), strict=True):
+        row[np.searchsorted(wavelengths, light.wavelengths)] = light.values
+    checker = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
+    np.savez_compressed(
+        path,
+        cmf_wavelengths=cmfs.wavelengths, cmf=cmfs.values.T,
+        daylight_wavelengths=DAYLIGHT["S0"].wavelengths, daylight=[DAYLIGHT[s].values for s in ("S0", "S1", "S2")],
+        illuminant_names=list(lights), illuminant_wavelengths=wavelengths, illuminants=powers,
+        colorchecker_names=list(checker), colorchecker_wavelengths=checker["white 9.5 (.05 D)"].wavelengths,
+        colorchecker=[patch.values for patch in checker.values()])
+
+
+def build_reflectances(source, path=HERE / "reflectances.npz"):
+    """Measured reflectances at 400, 410 .. 700 nm from ISETCam's; samples with a NaN are left out."""
+    tables = {}
+    with np.load(source) as isetcam:
+        step = slice(None, None, 2)  # the source is at 5 nm, but was measured at 10 nm (macbeth: 4 nm)
+        for name, theirs in REFLECTANCE_SETS.items():
+            samples = isetcam[f"refl_{theirs}"][step].T
+            tables[name] = samples[np.isfinite(samples).all(1)].astype(np.float32)
+        np.savez_compressed(path, wavelengths=isetcam["wave"][step], **tables)
+
+
+def build_srgb(path=HERE / "srgb.npz"):
+    """Reflectance spectra of the three sRGB primaries: `smoothest_primaries` at 360, 370 .. 780 nm.
+
+    Their colours hold for the cubic splines through the nodes, which is how the simulation interpolates a reflectance.
+    """
+    from scipy.interpolate import CubicSpline
+
+    from gpusim.data.colorimetry import xyz
+    from gpusim.data.lights import illuminant
+    from gpusim.data.srgb import srgb_to_xyz
+
+    wavelengths = np.arange(360.0, 781.0, 10.0)  # where the tables of D65 and the observer overlap
+    fine = np.linspace(360, 780, 4201)
+    cardinal = CubicSpline(wavelengths, np.eye(len(wavelengths)))(fine).T
+    light = illuminant("D65")
+    responses = xyz(Spectrum(fine, cardinal), light).T / xyz(light)[1]  # linear in the table: that of each unit entry
+    np.savez_compressed(path, wavelengths=wavelengths, primaries=smoothest_primaries(responses, srgb_to_xyz()))
+
+
+def smoothest_primaries(responses, targets):
+    """Three smooth spectra within 0 .. 1 that add up to 1 and have given tristimulus values.
+
+    responses: XYZ of a unit entry at each of the L nodes, shape (3, L). targets: XYZ of the primaries in columns.
+    Minimises the sum of squared first differences of all three. Returns shape (3, L).
+    Source: Mallett & Yuksel, "Spectral primary decomposition for rendering with sRGB reflectance", EGSR 2019.
+    """
+    from scipy.optimize import minimize
+
+    nodes = responses.shape[1]
+    difference = np.diff(np.eye(nodes), axis=0)
+    roughness = difference.T @ difference
+    # Unknowns: red and blue; green is what is left of 1, so that white is exactly 1.
+    hessian = 2 * np.block([[2 * roughness, roughness], [roughness, 2 * roughness]])
+    equal = np.kron(np.eye(2), responses)
+    wanted = np.concatenate([targets[:, 0], targets[:, 2]])
+    sums = np.hstack([np.eye(nodes), np.eye(nodes)])
+    start = np.linalg.lstsq(equal, wanted)[0]
+    found = minimize(lambda x: 0.5 * x @ hessian @ x, start, jac=lambda x: hessian @ x, method="SLSQP",
+                     bounds=[(0, 1)] * (2 * nodes), options={"maxiter": 1000, "ftol": 1e-14},
+                     constraints=[{"type": "eq", "fun": lambda x: equal @ x - wanted, "jac": lambda x: equal},
+                                  {"type": "ineq", "fun": lambda x: 1 - sums @ x, "jac": lambda x: -sums}])
+    if not found.success:
+        raise RuntimeError(f"sRGB primaries: {found.message}")
+    red, blue = np.clip(found.x.reshape(2, nodes), 0, 1)
+    return np.stack([red, np.clip(1 - red - blue, 0, 1), blue])
+
+
+if __name__ == "__main__":
+    build_cie()
+    build_reflectances(sys.argv[1])
+    build_srgb()

@@ -1,0 +1,221 @@
+"""Built-in scenes: test charts of known reflectance in a chosen light."""
+
+import inspect
+
+import numpy as np
+
+from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.memory import require_memory
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.scene import Materials, Scene
+from gpusim.domain.spectrum import Spectrum
+
+WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
+BYTES_PER_PIXEL = 48  # ids, shading and the float64 intermediates of the costliest chart
+
+
+def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminance=100.0, wavelengths=None,
+          **options) -> Scene:
+    """Return a built-in scene; see CHARTS for the names, and the function of a chart for its options.
+
+    size: columns and rows [pixel]. light: a name for `illuminant`, or its relative power in energy units.
+    luminance: of a perfect white diffuser in this light [cd m-2].
+    wavelengths: [nm] nodes of the reflectances; None: 400, 410 .. 700. Beyond its own table a reflectance keeps its
+        end value.
+    Raises UnknownName (chart, light, option), OutOfRange, and DoesNotFit before anything is allocated.
+    """
+    if name not in CHARTS:
+        raise UnknownName("chart", name, CHARTS)
+    draw = CHARTS[name]
+    known = [option for option in inspect.signature(draw).parameters if option not in ("cols", "rows")]
+    for option in options:
+        if option not in known:
+            raise UnknownName(f"option of chart {name!r}", option, known)
+    cols, rows = _checked_size(size)
+    require_memory(f"chart {name!r} of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
+    ids, shading, materials, border = draw(cols, rows, **options)
+    wavelengths = WAVELENGTHS if wavelengths is None else np.asarray(wavelengths, np.float64)
+    content = Materials(wavelengths, ids, shading, materials.at(wavelengths, outside=None))
+    light = illuminant(light) if isinstance(light, str) else light
+    return Scene(content, white_radiance(light, luminance), border, name=name)
+
+
+def colorchecker_patches(size) -> list[tuple[slice, slice]]:
+    """Rows and columns of the 24 patches of chart "colorchecker", from dark skin to black, row by row.
+
+    size: columns and rows of the chart. Raises OutOfRange below 24 x 16 pixels.
+    """
+    cols, rows = _checked_size(size)
+    if cols < 24 or rows < 16:
+        raise OutOfRange("size of chart 'colorchecker'", f"{cols} x {rows}", "at least 24 x 16 pixels")
+    patch, gap, _ = _colorchecker_measures(cols, rows)
+    left = (cols - 6 * patch - 5 * gap) // 2
+    top = (rows - 4 * patch - 3 * gap) // 2
+    starts = [(top + row * (patch + gap), left + col * (patch + gap)) for row in range(4) for col in range(6)]
+    return [(slice(y, y + patch), slice(x, x + patch)) for y, x in starts]
+
+
+def _colorchecker(cols, rows):
+    """24 patches of ISO 17321-1 in a black frame on middle grey.
+
+    The frame has half the reflectance of the black patch, so that this one can be told from it; the surroundings are
+    the patch neutral 5. Patch edges lie on pixel edges.
+    """
+    patches = colorchecker_patches((cols, rows))
+    _, _, frame = _colorchecker_measures(cols, rows)
+    ids = np.full((rows, cols), 21, np.uint8)
+    shading = np.ones((rows, cols), np.float32)
+    first, last = patches[0], patches[-1]
+    inside = (slice(first[0].start - frame, last[0].stop + frame), slice(first[1].start - frame, last[1].stop + frame))
+    ids[inside], shading[inside] = 23, 0.5
+    for number, patch in enumerate(patches):
+        ids[patch], shading[patch] = number, 1
+    return ids, shading, reflectances("colorchecker"), "edge"
+
+
+def _colorchecker_measures(cols, rows):
+    """Side of a patch, gap between patches and width of the frame [pixel], as on the printed chart."""
+    unit = min(cols / 8.15, rows / 5.85)
+    return int(unit), max(1, round(0.15 * unit)), max(1, round(0.3 * unit))
+
+
+def _slanted_edge(cols, rows, angle_deg=5.0, contrast=4.0, bright=0.8):
+    """Dark left, bright right, divided by a line through the centre at `angle_deg` from the vertical.
+
+    bright: reflectance of the bright side; the dark one has bright / contrast (ISO 12233 asks for 4:1). A pixel on the
+    line has the average over its area, exactly.
+    """
+    _require("slanted-edge: angle_deg", angle_deg, -90 <= angle_deg <= 90, "-90 .. 90")
+    _require("slanted-edge: contrast", contrast, 1 <= contrast <= 1e9, "1 .. 1e9")
+    _require("slanted-edge: bright", bright, 0 < bright <= 1, "0 < bright <= 1")
+    angle = np.deg2rad(angle_deg)
+    across, along = np.cos(angle), np.sin(angle)
+    x = np.arange(cols) - (cols - 1) / 2
+    y = np.arange(rows) - (rows - 1) / 2
+    coverage = half_plane_coverage(x[None, :] * across + y[:, None] * along, across, along)
+    dark = bright / contrast
+    return _gray(cols, rows, dark + (bright - dark) * coverage)
+
+
+def half_plane_coverage(distance, across, along):
+    """Part of a unit pixel on the positive side of a line.
+
+    distance: of the pixel's centre from the line, signed [pixel], any shape. across, along: the line's unit normal.
+    The distance over a pixel is the sum of two uniform variables of widths |across| and |along|; its distribution
+    function is the second integral of the four corners' ramps.
+    """
+    wide, narrow = sorted((abs(across) / 2, abs(along) / 2), reverse=True)
+    distance = np.clip(distance, -(wide + narrow), wide + narrow)
+    if narrow < 1e-9:  # the limit: one uniform variable
+        return np.clip(0.5 + distance / (2 * wide), 0, 1)
+    corners = [(1, wide + narrow), (-1, wide - narrow), (-1, narrow - wide), (1, -wide - narrow)]
+    area = sum(sign * np.maximum(distance + corner, 0) ** 2 for sign, corner in corners) / (8 * wide * narrow)
+    return np.clip(area, 0, 1)
+
+
+def _ramp(cols, rows, low=0.0, high=1.0, decades=0.0):
+    """From `low` at the left to `high` at the right, in units of white, linear; high > 1 is a light source.
+
+    decades: if positive, a logarithmic ramp instead, over that many decades below `high`.
+    """
+    _require("ramp: low", low, 0 <= low < np.inf, "0 <= low")
+    _require("ramp: high", high, 0 < high < np.inf, "0 < high")
+    _require("ramp: decades", decades, 0 <= decades <= 12, "0 .. 12")
+    position = (np.arange(cols) + 0.5) / cols
+    levels = high * 10 ** (decades * (position - 1)) if decades else low + (high - low) * position
+    return _gray(cols, rows, levels)
+
+
+def _flat(cols, rows, reflectance=0.18):
+    """One uniform grey; the default is the photographer's grey card."""
+    _require("flat: reflectance", reflectance, 0 <= reflectance < np.inf, "0 <= reflectance")
+    return _gray(cols, rows, reflectance)
+
+
+def _points(cols, rows, count=24, background=1e-3, lowest=1e2, highest=1e6, seed=0):
+    """Point lights of one pixel on a dim grey background, darkness around the frame.
+
+    background: in units of white. The points are `lowest` to `highest` times as bright, evenly spaced in the
+    logarithm, white and six colours in turn, at positions that depend on `seed` alone.
+    """
+    _require("points: count", count, isinstance(count, int | np.integer) and 1 <= count <= min(cols * rows, 100_000),
+             f"1 .. {min(cols * rows, 100_000)} (and at most the pixels)")
+    _require("points: background", background, 0 < background < np.inf, "0 < background")
+    _require("points: lowest", lowest, 0 < lowest < np.inf, "0 < lowest")
+    _require("points: highest", highest, lowest <= highest < np.inf, "lowest <= highest")
+    colours = reflectances("colorchecker")
+    chosen = colours.values[12:18]  # blue, green, red, yellow, magenta, cyan
+    spectra = np.vstack([np.ones(chosen.shape[1]), chosen / chosen.max(1, keepdims=True)])
+    where = np.random.default_rng(seed).choice(cols * rows, count, replace=False)
+    ids = np.zeros((rows, cols), np.uint8)
+    shading = np.full((rows, cols), background, np.float32)
+    ids.flat[where] = np.arange(count) % len(spectra)
+    shading.flat[where] = background * np.geomspace(lowest, highest, count)
+    return ids, shading, Spectrum(colours.wavelengths, spectra), "zero"
+
+
+def _deadleaves(cols, rows, surfaces="nature", smallest=4.0, seed=0):
+    """Overlapping discs whose radii follow the power law r^-3, each of a measured reflectance.
+
+    This law makes a picture that looks the same at every scale, as natural scenes do (Lee, Mumford & Huang,
+    "Occlusion models for natural images", IJCV 41, 2001). Radii reach from `smallest` [pixel] to a third of the
+    picture. surfaces: a set of `reflectances`. A pixel belongs to the disc at its centre.
+    """
+    _require("deadleaves: smallest", smallest, 1 <= smallest < np.inf, "at least 1 pixel")
+    samples = reflectances(surfaces)
+    largest = max(2 * smallest, min(cols, rows) / 3)
+    random = np.random.default_rng(seed)
+    mean_area = 2 * np.pi * np.log(largest / smallest) / (smallest**-2 - largest**-2)
+    # Eight layers on average leave e^-8 of the picture to the bottom leaf. Centres lie outside the frame too.
+    layers = 8 * (cols + 2 * largest) * (rows + 2 * largest) / mean_area
+    ids = np.full((rows, cols), random.integers(len(samples.values)), np.uint8)
+    for _ in range(int(layers)):
+        x, y, quantile = random.random(3)
+        x, y = x * (cols + 2 * largest) - largest, y * (rows + 2 * largest) - largest
+        radius = (smallest**-2 + quantile * (largest**-2 - smallest**-2)) ** -0.5
+        left, right = max(0, int(np.ceil(x - radius))), min(cols, int(x + radius) + 1)
+        top, bottom = max(0, int(np.ceil(y - radius))), min(rows, int(y + radius) + 1)
+        surface = random.integers(len(samples.values))
+        if left < right and top < bottom:
+            disc = (np.arange(left, right) - x) ** 2 + ((np.arange(top, bottom) - y) ** 2)[:, None] <= radius**2
+            ids[top:bottom, left:right][disc] = surface
+    return ids, np.ones((rows, cols), np.float32), samples, "edge"
+
+
+def _sweep(cols, rows, contrast=1.0):
+    """Draw a cosine whose frequency grows linearly from 0 at the left to Nyquist (0.5 cycle/pixel).
+
+    Reflectance 0.5 (1 + contrast cos(pi x^2 / (2 cols))), averaged over each pixel exactly: the integral is Fresnel's.
+    """
+    from scipy.special import fresnel
+
+    _require("sweep: contrast", contrast, 0 <= contrast <= 1, "0 .. 1")
+    edges = np.arange(cols + 1) / np.sqrt(cols)
+    averages = np.sqrt(cols) * np.diff(fresnel(edges)[1])
+    return _gray(cols, rows, 0.5 * (1 + contrast * averages))
+
+
+def _gray(cols, rows, levels):
+    """One neutral material; levels: anything that broadcasts to (rows, cols)."""
+    shading = np.empty((rows, cols), np.float32)
+    shading[:] = levels
+    return np.zeros((rows, cols), np.uint8), shading, Spectrum(WAVELENGTHS[[0, -1]], np.ones((1, 2))), "edge"
+
+
+def _require(key, value, allowed, text):
+    if not allowed:
+        raise OutOfRange(key, value, text)
+
+
+def _checked_size(size):
+    cols, rows = size
+    if not all(isinstance(n, int | np.integer) and n >= 1 for n in (cols, rows)):
+        raise OutOfRange("size", f"{cols} x {rows}", "at least 1 x 1, whole pixels (columns x rows)")
+    return int(cols), int(rows)
+
+
+CHARTS = {
+    "colorchecker": _colorchecker, "slanted-edge": _slanted_edge, "ramp": _ramp, "flat": _flat, "points": _points,
+    "deadleaves": _deadleaves, "sweep": _sweep,
+}

@@ -1,0 +1,22 @@
+"""Measured reflectances of surfaces."""
+
+from gpusim.data.colorimetry import tables
+from gpusim.domain.errors import UnknownName
+from gpusim.domain.spectrum import Spectrum
+
+
+def reflectances(set_name: str) -> Spectrum:
+    """All samples of a measured set, shape (N, 31), at 400, 410 .. 700 nm.
+
+    set_name: "macbeth" (24 patches), "munsell" (64 chips), "dupont" (120 paint chips), "objects" (170), "nature" (79 of
+        these), "skin" (19), "colorchecker-sg" (140 patches); from ISETCam, see README.md in this folder.
+        "colorchecker": the 24 patches of ISO 17321-1, shape (24, 81), at 380, 385 .. 780 nm.
+    Raises UnknownName.
+    """
+    if set_name == "colorchecker":
+        table = tables("cie")
+        return Spectrum(table["colorchecker_wavelengths"], table["colorchecker"], set_name)
+    table = tables("reflectances")
+    if set_name not in table or set_name == "wavelengths":
+        raise UnknownName("set of reflectances", set_name, {*table, "colorchecker"} - {"wavelengths"})
+    return Spectrum(table["wavelengths"], table[set_name], set_name)

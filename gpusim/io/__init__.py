@@ -1,0 +1,1 @@
+"""Scenes from files, pictures and raw data into files."""

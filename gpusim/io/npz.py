@@ -1,0 +1,162 @@
+"""Scenes as NumPy archives.
+
+gpusim's own keys, all arrays band-major:
+
+    wavelengths_nm                          (L,)             nodes of the spectra
+    cube                                    (L, rows, cols)  form 1: samples
+    coefficients, basis                     (K, rows, cols), (K, L)                         form 2: linear model
+    ids, shading, spectra                   (rows, cols) integer, (rows, cols), (M, L)      form 3: materials
+    illuminant_wavelengths_nm, illuminant   (N,) [nm], (N,) [photon s-1 m-2 sr-1 nm-1], radiance of white: the content
+                                            is reflectance; without these two it is radiance, in the same unit
+    kind                                    "reflectance": of `cube`, when the light is not known; else "radiance"
+    border, margin, fov_rad, depth_m, name  as in Scene
+
+Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows, cols, L), or `coef`
+(rows, cols, K) with `basis` (K, L); `wave` (L,); `illuminant_photons` (L,) if known; `fov_deg`. The key alone says the
+order of the axes, never their lengths.
+"""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.domain.memory import require_memory
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.spectrum import Spectrum
+from gpusim.io.atomic import atomic_path
+
+FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says what an archive holds
+
+
+def write_npz(path, scene: Scene):
+    """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
+    content = scene.content
+    arrays = {"wavelengths_nm": content.wavelengths}
+    if isinstance(content, Cube):
+        arrays |= {"cube": content.values}
+    elif isinstance(content, Basis):
+        arrays |= {"coefficients": content.coefficients, "basis": content.basis}
+    else:
+        arrays |= {"ids": content.ids, "shading": content.shading, "spectra": content.spectra}
+    arrays |= {"illuminant_wavelengths_nm": scene.illuminant.wavelengths, "illuminant": scene.illuminant.values,
+               "border": scene.border, "margin": scene.margin, "name": scene.name}
+    if scene.fov is not None:
+        arrays["fov_rad"] = scene.fov
+    if scene.depth is not None:
+        arrays["depth_m"] = scene.depth
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_npz(path, white: Spectrum) -> Scene:
+    """Read a scene.
+
+    white: radiance of white [photon s-1 m-2 sr-1 nm-1] for an archive of reflectances that does not know its light.
+    Raises BadFile, naming file and key, and DoesNotFit.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadFile(path, "no such file")
+    try:
+        with np.load(path) as stored:
+            # As stored, and once more as float32.
+            require_memory(str(path), 2 * sum(member.file_size for member in stored.zip.infolist()))
+            return _Archive(path, stored).scene(white)
+    except BadFile:
+        raise
+    except (BadData, OutOfRange, UnknownName) as error:
+        raise BadFile(path, str(error)) from error
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile,
+            zlib.error) as error:
+        raise BadFile(path, f"not an .npz archive of plain arrays, or truncated ({error})") from error
+
+
+class _Archive:
+    """An open archive, whose arrays are checked as they are taken out."""
+
+    def __init__(self, path, stored):
+        self.path, self.stored = path, stored
+
+    def array(self, key, *shape, negative=False):
+        """Return finite numbers under `key`; None in `shape` stands for any length."""
+        if key not in self.stored:
+            raise BadFile(self.path, f"key {key!r} is missing")
+        array = self.stored[key]
+        if array.dtype.kind not in "uif":
+            raise BadFile(self.path, f"{key}: {array.dtype}, wanted real numbers")
+        fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        if not fits or array.size == 0:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            raise BadFile(self.path, f"{key}: shape {array.shape}, wanted ({wanted})")
+        low, high = float(array.min()), float(array.max())
+        if not np.isfinite([low, high]).all():
+            raise BadFile(self.path, f"{key}: NaN or infinite values")
+        if low < 0 and not negative:
+            raise BadFile(self.path, f"{key}: negative values (lowest {low:.3g})")
+        return array
+
+    def planes(self, key, *shape, pixel_major=False, negative=False):
+        """Return an image stack under `key` as float32, band-major."""
+        array = self.array(key, *shape, negative=negative)
+        return np.ascontiguousarray(np.moveaxis(array, -1, 0) if pixel_major else array, np.float32)
+
+    def single(self, key, default):
+        """Return one value under `key`, of the type of `default`."""
+        return type(default)(self.stored[key].item()) if key in self.stored else default
+
+    def scene(self, white):
+        """Return what the archive holds as a scene."""
+        forms = [key for key in FORMS if key in self.stored]
+        if len(forms) != 1:
+            raise BadFile(self.path, f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}")
+        key = "wave" if "wave" in self.stored and "wavelengths_nm" not in self.stored else "wavelengths_nm"
+        wavelengths = self.array(key, None).astype(np.float64)
+        if len(wavelengths) < 2 or not (np.diff(wavelengths) > 0).all():
+            raise BadFile(self.path, f"{key}: needs at least 2 wavelengths that increase strictly")
+        content = self.content(forms[0], wavelengths)
+        content, illuminant = self.lit(content, white)
+        depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
+        fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
+        return Scene(content, illuminant, self.single("border", "edge"), self.single("margin", 0), fov, depth,
+                     self.single("name", self.path.stem))
+
+    def content(self, form, wavelengths):
+        """Return the pixels, still in the unit of the file."""
+        bands = len(wavelengths)
+        if form == "cube":
+            return Cube(wavelengths, self.planes("cube", bands, None, None))
+        if form == "photons":
+            return Cube(wavelengths, self.planes("photons", None, None, bands, pixel_major=True))
+        if form == "ids":
+            ids, spectra = self.array("ids", None, None), self.array("spectra", None, bands)
+            if ids.dtype.kind == "f" or ids.max() > 65535:
+                raise BadFile(self.path, f"ids: {ids.dtype} up to {ids.max()}, wanted integers up to 65535")
+            return Materials(wavelengths, ids.astype(np.uint8 if ids.max() < 256 else np.uint16),
+                             self.planes("shading", *ids.shape), spectra.astype(np.float64))
+        basis = self.array("basis", None, bands, negative=True).astype(np.float64)
+        shape = (None, None, len(basis)) if form == "coef" else (len(basis), None, None)
+        return Basis(wavelengths, self.planes(form, *shape, pixel_major=form == "coef", negative=True), basis)
+
+    def lit(self, content, white):
+        """Return reflectance and light where the light is known, else radiance and an illuminant of 1."""
+        wavelengths = content.wavelengths
+        if "illuminant" in self.stored:
+            theirs = self.array("illuminant_wavelengths_nm", None)
+            return content, Spectrum(theirs, self.array("illuminant", len(theirs)), "illuminant")
+        if "illuminant_photons" in self.stored:
+            light = self.array("illuminant_photons", len(wavelengths)).astype(np.float64)
+            if (light > 0).all():  # a dark band has no reflectance: the radiance is kept then
+                if isinstance(content, Cube):
+                    content = Cube(wavelengths, content.values / light[:, None, None].astype(np.float32))
+                elif isinstance(content, Basis):
+                    content = Basis(wavelengths, content.coefficients, content.basis / light)
+                else:
+                    content = Materials(wavelengths, content.ids, content.shading, content.spectra / light)
+                return content, Spectrum(wavelengths, light, "illuminant")
+        kind = self.single("kind", "radiance")
+        if kind not in ("radiance", "reflectance"):
+            raise BadFile(self.path, f'kind: {kind!r}, wanted "radiance" or "reflectance"')
+        return content, white if kind == "reflectance" else unit_light(wavelengths)

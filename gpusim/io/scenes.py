@@ -1,0 +1,103 @@
+"""From a chart's name or a file to a Scene."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.data.charts import CHARTS, chart
+from gpusim.data.colorimetry import xyz
+from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.io.exr import read_exr
+from gpusim.io.npz import read_npz
+from gpusim.io.photo import lift, read_photo
+
+SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg")
+LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
+
+
+def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None) -> Scene:
+    """Open a built-in chart (`CHARTS`) or a scene file: spectral or RGB .exr, .npz, or a photograph .png, .jpg.
+
+    size: columns and rows of a chart; a file has its own size.
+    light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
+        in the light; where the light is not known, the mean over the scene instead. Without them a scene keeps the
+        light that it has; reflectances and photographs alone get D65 with white at 100 cd m-2.
+    bands: {channel: wavelength [nm]} of an .exr whose channels are not named by wavelength.
+    border, fov [rad]: as in Scene, in exchange for the scene's own.
+    Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
+    """
+    path = Path(name_or_path)
+    if bands and path.suffix.lower() != ".exr":
+        raise OutOfRange("bands", sorted(bands), "none: bands are named in .exr files only")
+    if str(name_or_path) in CHARTS:
+        scene = chart(str(name_or_path), light=light or LIGHT, luminance=LUMINANCE if luminance is None else luminance,
+                      **({"size": size} if size else {}))
+    elif path.suffix.lower() in SUFFIXES:
+        if size:
+            raise OutOfRange("size", f"{size[0]} x {size[1]}", f"for charts only; {path} has its own size")
+        white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
+        scene = _read(path, white, bands)
+        scene = _relit(path, scene, light, luminance)
+    else:
+        raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
+    changes = {"border": border, "fov": fov}
+    return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
+
+
+def _read(path, white, bands):
+    """Return the scene of a file; `white` is the radiance of white where the file does not know its light."""
+    if path.suffix.lower() == ".npz":
+        return read_npz(path, white)
+    illuminated = white
+    if path.suffix.lower() == ".exr":
+        kind, wavelengths, values = read_exr(path, bands)
+        content = lift(values) if kind == "rgb" else Cube(wavelengths, values)
+        if kind == "radiance":
+            illuminated = unit_light(wavelengths)
+    else:
+        content = read_photo(path)
+    try:
+        return Scene(content, illuminated, name=path.stem)
+    except (BadData, OutOfRange) as error:
+        raise BadFile(path, str(error)) from error
+
+
+def _relit(path, scene, light, luminance):
+    """Return the scene in another light, or at another luminance."""
+    if light is None and luminance is None:
+        return scene
+    if scene.light_is_known:
+        own = energy_from_photons(scene.illuminant)
+        radiance = white_radiance(illuminant(light) if light else own, luminance or xyz(own)[1])
+        return dataclasses.replace(scene, illuminant=radiance)
+    if light:
+        raise BadFile(path, f"light {light!r} asked for, but the file holds radiance: its own light is not known")
+    mean = mean_luminance(scene)
+    if not mean > 0:
+        raise BadFile(path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}")
+    return dataclasses.replace(scene, content=_scaled(scene.content, luminance / mean))
+
+
+def mean_luminance(scene: Scene) -> float:
+    """Return the mean luminance of a scene's content (with its margin) [cd m-2]."""
+    content = scene.content
+    if isinstance(content, Cube):
+        mean = content.values.mean(axis=(1, 2), dtype=np.float64)
+    elif isinstance(content, Basis):
+        mean = content.coefficients.mean(axis=(1, 2), dtype=np.float64) @ content.basis
+    else:
+        share = np.bincount(content.ids.ravel(), content.shading.ravel(), len(content.spectra)) / content.ids.size
+        mean = share @ content.spectra
+    return float(xyz(Spectrum(content.wavelengths, mean), energy_from_photons(scene.illuminant))[1])
+
+
+def _scaled(content, factor):
+    if isinstance(content, Cube):
+        return Cube(content.wavelengths, content.values * np.float32(factor))
+    if isinstance(content, Basis):
+        return Basis(content.wavelengths, content.coefficients, content.basis * factor)
+    return Materials(content.wavelengths, content.ids, content.shading, content.spectra * factor)
