@@ -1,11 +1,12 @@
 """The protocol every backend fulfils."""
 
-import os
 import time
 from collections import defaultdict
 from contextlib import contextmanager
 
 import numpy as np
+
+from gpusim.domain.memory import host_memory
 
 
 class Device:
@@ -23,12 +24,12 @@ class Device:
     is_gpu = False
 
     def __init__(self):
-        self._times = None
+        self._times: defaultdict[str, float] | None = None
 
     @property
     def memory(self) -> int:
         """What may still be allocated in all [byte]: the host's free memory, for devices on the host."""
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
+        return host_memory()
 
     def array(self, values, dtype=np.float32):
         """Array of this device with these values; one that is there already is returned as it is."""

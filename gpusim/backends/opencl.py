@@ -38,11 +38,11 @@ class OpenCLDevice(Device):
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.context = cl.Context([cl_device])
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self._kernels = {}
-        self._programs = {}
-        self._events = []
-        self._in_flight = []  # host memory of queued kernels must outlive them, even if the caller drops it
-        self.build_ms = {}  # per stage: what building its programs took
+        self._kernels: dict = {}
+        self._programs: dict = {}
+        self._events: list = []
+        self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
+        self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
 
     @property
     def memory(self):

@@ -109,7 +109,7 @@ def _list():
     try:
         import warp as wp
 
-        wp.config.quiet = True
+        wp.config.log_level = wp.LOG_ERROR
         wp.init()
         names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
     except Exception:  # its own entry, warp:cpu, will say why

@@ -19,7 +19,7 @@ class WarpDevice(Device):
         super().__init__()
         import warp as wp
 
-        wp.config.quiet = True
+        wp.config.log_level = wp.LOG_ERROR
         wp.init()
         try:
             self.wp_device = wp.get_device(alias)
@@ -30,8 +30,8 @@ class WarpDevice(Device):
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
         self.array_type = wp.array
-        self._events = []
-        self.build_ms = {}
+        self._events: list = []
+        self.build_ms: dict[str, float] = {}
 
     @property
     def memory(self):

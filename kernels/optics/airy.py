@@ -27,7 +27,7 @@ def airy(device, q, aperture, rows, cols):
     Returns shape (bands, rows // 2 + 1, cols // 2 + 1); entry (l, i, j) is at the frequency (i / rows, j / cols).
     Source: Hopkins, Proc. R. Soc. A 231 (1955) for O; the folding is the sampling theorem.
     """
-    q = np.asarray(q, np.float32)
+    q = np.asarray(device.numpy(q), np.float32)
     shape = (len(q), rows // 2 + 1, cols // 2 + 1)
     tables = device.empty(shape)
     cutoff = 1 / float(q.min())  # beyond |f| = 1/q nothing passes, so the replicas that reach [0, 1/2] are few:

@@ -1,0 +1,230 @@
+"""The command line: `gpusim simulate | verify | bench | devices`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from gpusim import __version__
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0, 1 (a verification failed), 2 (wrong input, said in one line)."""
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        return arguments.run(arguments)
+    except GpusimError as error:
+        print(f"gpusim: {error}", file=sys.stderr)
+        return 2
+    except (MemoryError, KeyboardInterrupt) as error:
+        print(f"gpusim: {'out of memory' if isinstance(error, MemoryError) else 'interrupted'}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        sys.stderr.close()
+        return 0
+
+
+def _simulate(arguments):
+    from gpusim.data.cameras import open_camera
+    from gpusim.io.atomic import atomic_path
+    from gpusim.io.scenes import open_scene
+    from gpusim.scheduler import Simulator
+
+    outputs = [_numbered(path, arguments.frames) for path in arguments.out]
+    for path in (*arguments.out, *([arguments.report] if arguments.report else [])):
+        if not Path(path).absolute().parent.is_dir():  # said before the work, not after it
+            raise BadFile(path, f"the folder {Path(path).parent} does not exist")
+    camera = open_camera(arguments.camera)
+    bands = dict(_named(text) for text in arguments.band)
+    scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
+                       bands=bands, border=arguments.border)
+    simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance)
+    frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
+    if arguments.frames > 1:
+        from tqdm import tqdm
+
+        frames = tqdm(frames, total=arguments.frames, unit="frame", disable=None)
+    reports = []
+    for number, frame in enumerate(frames):
+        for output in outputs:
+            frame.save(output(number))
+        reports.append(frame.report)
+        if arguments.frames == 1:
+            print(frame.report)
+    if arguments.frames > 1:
+        print(reports[0])
+        print(f"  {len(reports)} frames; median of those after the first "
+              f"{sorted(report.ms for report in reports[1:])[(len(reports) - 1) // 2]:.2f} ms")
+    if arguments.report:
+        with atomic_path(arguments.report) as temporary:
+            plain = [report.as_dict() for report in reports]
+            temporary.write_text(json.dumps(plain[0] if arguments.frames == 1 else plain, indent=2) + "\n")
+    return 0
+
+
+def _numbered(path, count):
+    """From a frame's number to its file: `a.png`, or `a_0000.png` and so on for several."""
+    from gpusim.io.frames import FORMATS
+
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise UnknownName("output format", path.suffix or path.name, FORMATS)
+    digits = max(4, len(str(count - 1)))
+    return lambda number: path if count == 1 else path.with_name(f"{path.stem}_{number:0{digits}d}{path.suffix}")
+
+
+def _named(text):
+    name, _, value = text.rpartition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise OutOfRange("--band", text, "NAME=wavelength in nm, such as --band red=630") from None
+
+
+def _verify(arguments):
+    from gpusim.verify import verify
+
+    rows = [row for device in _devices(arguments.device) for row in verify(device, _stages(arguments.stage))]
+    for row in rows:
+        print(f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
+              f"(tolerance {row['tolerance']:8.2e})  {row['case']}" + ("" if row["ok"] else f": {row['why']}"))
+    failed = sum(not row["ok"] for row in rows)
+    print(f"{len(rows) - failed} passed, {failed} failed")
+    _write_json(arguments.json, rows)
+    return 1 if failed else 0
+
+
+def _bench(arguments):
+    from gpusim.bench import bench
+
+    rows = []
+    print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} {'x floor':>8s} "
+          f"{'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
+    for device in _devices(arguments.device):
+        for row in bench(device, _stages(arguments.stage), arguments.size[::-1]):
+            rows.append(row)
+            if "failed" in row:
+                print(f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}")
+                continue
+            ratio = f"{row['ratio_to_floor']:8.1f}" if row["ratio_to_floor"] else f"{'-':>8s}"
+            print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p20']:9.3f} {row['ms_p50']:9.3f} "
+                  f"{row['ms_p80']:9.3f} {row['gbps']:7.1f} {ratio} {row['build_ms']:9.1f} "
+                  f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}")
+    _write_json(arguments.json, rows)
+    return 1 if any("failed" in row for row in rows) else 0
+
+
+def _list_devices(arguments):
+    from gpusim.backends.probe import devices
+
+    entries = devices(refresh=True)
+    if arguments.json:
+        print(json.dumps(entries, indent=2))
+        return 0
+    for entry in entries:
+        if entry["error"]:
+            print(f"{entry['name']:12s} unusable: {entry['error']}")
+            continue
+        kinds = "fp64" if entry["fp64"] else "no fp64"
+        kinds += ", fp16" if entry["fp16"] else ", no fp16"
+        print(f"{entry['name']:12s} {entry['device']}; {entry['driver']} ({entry['version']}); {entry['units']} units, "
+              f"{kinds}; {entry['memory'] / 2**30:.1f} GiB; copy {entry['copy_gbps']:.1f} GB/s")
+    return 0
+
+
+def _devices(name):
+    """Open the device named, or every usable one for "all"."""
+    from gpusim.backends import open_device
+    from gpusim.backends.probe import devices
+
+    if name != "all":
+        return [open_device(name)]
+    return [open_device(entry["name"]) for entry in devices() if not entry["error"] and entry["name"] != "numpy"]
+
+
+def _stages(names):
+    from gpusim.kernels.stage import stage_names
+
+    known = stage_names()
+    for name in names or ():
+        if name not in known:
+            raise UnknownName("stage", name, known)
+    return names or known
+
+
+def _write_json(path, rows):
+    if not path:
+        return
+    from gpusim.io.atomic import atomic_path
+
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+def _size(text):
+    try:
+        cols, rows = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted COLSxROWS, such as 1920x1080") from None
+    return cols, rows
+
+
+def _whole(low, high):
+    def read(text):
+        try:
+            value = int(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, {low} .. {high}")
+        return value
+    return read
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog="gpusim", description="Simulate a camera: scene radiance, optics, sensor, "
+                                     "image processor, display.")
+    parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    device_help = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
+
+    simulate = commands.add_parser("simulate", help="a scene through a camera: raw frame, picture and report")
+    simulate.add_argument("scene", metavar="SCENE", help="a chart (colorchecker, slanted-edge, ramp, flat, points, "
+                          "deadleaves, sweep) or a file: spectral .exr, .npz, photograph .png or .jpg")
+    simulate.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
+    simulate.add_argument("--device", default="auto", help=device_help)
+    simulate.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
+    simulate.add_argument("--seed", type=_whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
+    simulate.add_argument("--frames", type=_whole(1, 10**6), default=1, metavar="N",
+                          help="draw N noisy frames into numbered files")
+    simulate.add_argument("-o", "--out", action="append", default=[], metavar="OUT",
+                          help=".png display, .exr linear RGB, .dng raw, .npz electrons and DN; may be repeated")
+    simulate.add_argument("--report", metavar="FILE.json", help="what was modelled, times and errors")
+    simulate.add_argument("--verify", action="store_true", help="also run the float64 reference: the true error")
+    simulate.add_argument("--size", type=_size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
+    simulate.add_argument("--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)")
+    simulate.add_argument("--luminance", type=float, metavar="CD_M2", help="of white in the scene's light")
+    simulate.add_argument("--border", choices=("zero", "edge", "reflect"), help="the world outside the frame")
+    simulate.add_argument("--band", action="append", default=[], metavar="NAME=NM",
+                          help="wavelength of an .exr channel that is not named by it; may be repeated")
+    simulate.set_defaults(run=_simulate)
+
+    verify = commands.add_parser("verify", help="every stage against the float64 reference; status 1 on any failure")
+    bench = commands.add_parser("bench", help="speed of every stage against its error")
+    for command, run in ((verify, _verify), (bench, _bench)):
+        command.add_argument("--device", default="all", help="as for simulate, or all (default: all)")
+        command.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
+        command.add_argument("--json", metavar="FILE", help="write the rows")
+        command.set_defaults(run=run)
+    bench.add_argument("--size", type=_size, default=(1920, 1080), metavar="COLSxROWS", help="default: 1920x1080")
+
+    devices = commands.add_parser("devices", help="what there is, how fast it copies, and why a device is unusable")
+    devices.add_argument("--json", action="store_true", help="as JSON")
+    devices.set_defaults(run=_list_devices)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""How this camera's digital numbers become display colours, at this exposure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.data.lights import illuminant
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.spectrum import Spectrum, photons_from_energy
+from gpusim.planner.color import color_matrix
+from gpusim.planner.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """Colour transforms of one exposure; a camera value is (DN - black level) / (white level - black level).
+
+    display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so that
+    blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
+    camera_from_xyz: XYZ to values scaled like `neutral`, shape (3, 3); None without a colour matrix. model: in words.
+    """
+
+    display_from_camera: np.ndarray
+    ceiling: np.ndarray
+    neutral: np.ndarray
+    camera_from_xyz: np.ndarray | None
+    model: str
+
+
+def rendering(plan: Plan, exposure_time: float) -> Rendering:
+    """Transforms by which a perfect white diffuser in the scene's light comes out as display white.
+
+    exposure_time: [s]. Where the scene's light is unknown, D65 is assumed and saturation becomes display white.
+    Raises BadData (see `color_matrix`).
+    """
+    scene, camera = plan.scene, plan.camera
+    sensor, processor = camera.sensor, camera.processor
+    known = scene.light_is_known and processor.white_balance == "illuminant"
+    light = scene.illuminant if known else photons_from_energy(illuminant("D65"))
+    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.black_level)
+    white = saturation  # the camera value of white in its strongest channel
+    if plan.white_rate is not None:
+        white *= plan.white_rate.max() * exposure_time / sensor.saturation
+    if processor.color == "matrix":
+        transform = color_matrix(_through(camera.optics, sensor.qe), light, reflectances(processor.training),
+                                 display=camera.display)
+        matrix, neutral = transform.matrix, transform.white
+        # inverse of a square matrix; more channels than three have none, and no DNG either
+        camera_from_xyz = np.linalg.inv(transform.xyz) if transform.xyz.shape == (3, 3) else None
+        model = f"3x{len(neutral)} matrix, least squares on {processor.training!r}"
+    else:
+        channels = len(sensor.channels)
+        neutral = np.ones(channels)
+        if known and plan.white_rate is not None:
+            neutral = plan.white_rate / plan.white_rate.max()
+        matrix = np.ones((3, 1)) if channels == 1 else np.diag(1 / neutral)
+        camera_from_xyz = None
+        model = "grey" if channels == 1 else "channels to display primaries"
+    model += f", white balance for {light.name or 'the scene light'}" if len(neutral) > 1 else ""
+    return Rendering(matrix / white, neutral * saturation, neutral, camera_from_xyz, model)
+
+
+def _through(optics, qe):
+    """Quantum efficiency behind the lens."""
+    if not isinstance(optics.transmission, Spectrum):
+        return qe
+    nodes = np.union1d(qe.wavelengths, optics.transmission.wavelengths)
+    return Spectrum(nodes, qe.at(nodes) * optics.transmission_at(nodes), qe.name)

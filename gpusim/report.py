@@ -1,0 +1,104 @@
+"""What a frame cost, what was modelled, and the error it carries."""
+
+import json
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from gpusim.domain.tolerance import Tolerance
+
+
+@dataclass(frozen=True)
+class Error:
+    """True error of the mean electrons against the float64 reference.
+
+    rms: root mean square over that of the reference [1]. max_local: largest |error| / max(reference, 1 e-).
+    p999_sigma, max_sigma: 99.9 % quantile and maximum of |error| over the pixel's own noise sigma [1].
+    """
+
+    rms: float
+    max_local: float
+    p999_sigma: float
+    max_sigma: float
+
+    @classmethod
+    def between(cls, mean, reference, read_noise: float) -> "Error":
+        """Compare two images of mean electrons [e-]; sigma^2 = mean + read_noise^2, at least 1 e-^2."""
+        reference = np.asarray(reference, np.float64)
+        difference = np.abs(mean - reference)
+        sigma = difference / np.sqrt(np.maximum(reference + read_noise**2, 1.0))
+        size = np.sqrt(np.mean(reference**2))
+        return cls(float(np.sqrt(np.mean(difference**2)) / size) if size else float(difference.max() > 0),
+                   float((difference / np.maximum(reference, 1.0)).max()), float(np.quantile(sigma, 0.999)),
+                   float(sigma.max()))
+
+    def meets(self, tolerance: Tolerance) -> bool:
+        """Whether every bound of `tolerance` that is set holds."""
+        bounds = ((self.rms, tolerance.rms), (self.p999_sigma, tolerance.p999_sigma),
+                  (self.max_sigma, tolerance.max_sigma))
+        return all(value <= bound for value, bound in bounds if bound is not None)
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """One stage of one frame: its name, what was modelled, and milliseconds (0: kept from the frame before)."""
+
+    stage: str
+    model: str
+    ms: float
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that is known about one frame besides its pixels.
+
+    scene, camera, device: what was simulated where. stages: in the order the light goes. predicted: named error bounds
+    of the plan. left_out: what was not modelled. error: the true error where it was asked for, and whether it meets
+    the tolerance.
+    """
+
+    scene: dict
+    camera: dict
+    device: dict
+    frame: int
+    seed: int
+    stages: list[StageReport]
+    predicted: dict
+    left_out: list[str]
+    error: Error | None = None
+    tolerance: Tolerance | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def ms(self) -> float:
+        """Milliseconds of all stages."""
+        return sum(stage.ms for stage in self.stages)
+
+    @property
+    def meets_tolerance(self) -> bool | None:
+        """Whether the true error is within the tolerance; None unless both are known."""
+        return None if self.error is None or self.tolerance is None else self.error.meets(self.tolerance)
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance}
+
+    def __str__(self):
+        lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
+                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, frame {self.frame}"]
+        lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
+        lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms")
+        lines += [f"  predicted: {name} {value:.2g}" for name, value in self.predicted.items()]
+        if self.error:
+            error = self.error
+            lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
+                         f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma")
+        if self.meets_tolerance is not None:
+            lines.append(f"  tolerance: {'met' if self.meets_tolerance else 'NOT met'}")
+        lines.append(f"  not modelled: {'; '.join(self.left_out)}")
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """`as_dict` as text."""
+        return json.dumps(self.as_dict(), indent=2)

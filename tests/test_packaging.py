@@ -1,0 +1,80 @@
+"""What is shipped is what is in the tree, and imports point one way."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# who may import whom; every package may import itself and the packages in its set
+ALLOWED = {
+    "gpusim.domain": set(),
+    "gpusim.data": {"gpusim.domain"},
+    "gpusim.io": {"gpusim.domain", "gpusim.data"},
+    "gpusim.backends": {"gpusim.domain", "gpusim.kernels"},  # by path alone: it loads kernels by file name
+    "gpusim.kernels": {"gpusim.domain", "gpusim.backends"},
+    "gpusim.planner": {"gpusim.domain", "gpusim.data"},
+    "gpusim.report": {"gpusim.domain"},
+    "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
+    "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
+    "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.kernels",
+                         "gpusim.planner", "gpusim.report"},
+}
+
+
+def packages(folder, name):
+    return {".".join((name, *path.parent.relative_to(folder).parts)) for path in folder.rglob("__init__.py")}
+
+
+def test_every_package_is_listed():
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    assert listed == packages(ROOT / "gpusim", "gpusim") | packages(ROOT / "kernels", "gpusim.kernels")
+
+
+def test_kernels_cannot_be_imported_by_another_name():
+    result = subprocess.run([sys.executable, "-c", "import kernels"], cwd=ROOT, capture_output=True, text=True)
+    assert "import this package as gpusim.kernels" in result.stderr
+
+
+def modules():
+    for folder, name in ((ROOT / "gpusim", "gpusim"), (ROOT / "kernels", "gpusim.kernels")):
+        for path in sorted(folder.rglob("*.py")):
+            yield ".".join((name, *path.relative_to(folder).with_suffix("").parts)).removesuffix(".__init__"), path
+
+
+def layer(module):
+    return max((name for name in ALLOWED if module == name or module.startswith(f"{name}.")), key=len, default=None)
+
+
+@pytest.mark.parametrize(("module", "path"), list(modules()))
+def test_imports_point_one_way(module, path):
+    own = layer(module)
+    if own is None:
+        assert module in ("gpusim", "gpusim.cli")  # the top may import everything
+        return
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        for name in names:
+            target = layer(name)
+            if name.startswith("gpusim"):
+                assert target is None or target == own or target in ALLOWED[own], f"{module} imports upward: {name}"
+
+
+def test_import_is_light():
+    """No slow library is loaded by `import gpusim` (design: under 0.3 s; a list is steadier than a clock)."""
+    code = "import gpusim, sys; print(sorted({'warp', 'pyopencl', 'colour', 'scipy', 'PIL'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_public_names_exist():
+    import gpusim
+
+    for name in gpusim.__all__:
+        assert getattr(gpusim, name) is not None
