@@ -20,7 +20,7 @@ def expose(device, rates, cfa, exposure_time, slope):
     pixel of one period, shape (period_y, period_x). exposure_time: [s]. slope: pixel pitch over image distance [1].
     Returns shape (rows, cols) [e-]. Source: Farrell & Wandell, sections 4.1 (cos^4 law) and 5.1.
     """
-    channels, rows, cols = rates.shape
+    _, rows, cols = rates.shape
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
