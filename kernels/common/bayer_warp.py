@@ -1,0 +1,27 @@
+"""Walking a Bayer mosaic row by row: the same as bayer.clh."""
+
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+
+@wp.func
+def mirror(i: int, n: int):
+    """Return index `i` of an axis of `n` pixels, mirrored at its ends without repeating the end pixel."""
+    if i >= 0 and i < n:
+        return i
+    if n == 1:
+        return 0
+    period = 2 * (n - 1)
+    j = wp.abs(i) % period
+    return wp.min(j, period - j)
+
+
+@wp.func
+def own_plane(y: int, red_row: int):
+    """Return the plane of the colour that row `y` samples beside green: 0 (red) or 2 (blue)."""
+    return 2 * ((y ^ red_row) & 1)
+
+
+@wp.func
+def first_own(y: int, red_row: int, red_col: int):
+    """Return the first column (0 or 1) of that colour in row `y`."""
+    return red_col ^ ((y ^ red_row) & 1)

@@ -1,0 +1,97 @@
+"""Gradient-adaptive demosaicking of a Bayer mosaic, with black level and scale.
+
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
+and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
+from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.stage import Case, stage
+
+DOMAINS = ("root", "linear")
+
+
+@stage
+def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175):
+    """Hamilton-Adams interpolation with soft weights for the directions; measured samples are kept.
+
+    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
+    domain: "root" interpolates (signed) square roots, which makes edges and shot noise equally strong in light and
+        shadow: right for linear data. "linear" interpolates the values, right for data that are encoded already.
+    threshold: gradients below this fraction of the full scale (1 / scale, in the domain) count as equally small.
+    Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
+    Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
+    Source: Hamilton & Adams 1997, US patent 5629734 (expired), with weights in place of its decisions.
+    """
+    check_mosaic(raw, scale)
+    red_row, red_col = red_pixel(phase)
+    if domain not in DOMAINS:
+        raise UnknownName("domain", domain, DOMAINS)
+    if not threshold > 0:
+        raise OutOfRange("threshold", threshold, "threshold > 0")
+    raw = device.array(raw, np.uint16)
+    if 1 in raw.shape:
+        return bilinear(raw, phase=phase, black_level=black_level, scale=scale, device=device)
+    rows, cols = raw.shape
+    root = domain == "root"
+    limit = threshold * (1 / scale) ** (0.5 if root else 1.0)
+    pairs = cols // 2 + 1  # enough for either column phase
+    run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
+    difference = device.empty((rows, pairs))
+    out = device.empty((3, rows, cols))
+    grid = (rows, -(-pairs // run))
+    mosaic = (float(black_level), float(limit), red_row, red_col, run, rows, cols)
+    if device.kind != "opencl":
+        mosaic += (int(root),)
+    options = {"defines": {"ROOT": int(root)}, "group": None if device.is_gpu else (1, 1)}
+    device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
+    device.launch("processor.adaptive", "colors", grid, raw, difference, out, float(scale), *mosaic, **options)
+    return out
+
+
+def cases():
+    """All phases, both domains, odd and degenerate sizes, hard edges, flat fields."""
+    random = np.random.default_rng(3)
+    for domain in DOMAINS:
+        for phase in RED:
+            for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130)):
+                raw = random.integers(0, 4096, (rows, cols), np.uint16)
+                raw.flat[0], raw.flat[-1] = 0, 4095
+                yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
+        ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
+        yield _case(f"{domain} ramp", ramp, "GRBG", domain)
+        edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
+        yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
+        yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",
+                                      "black_level": 64.0, "scale": 1 / 4096, "domain": domain}, 4 * 2.0**-24,
+                   "all samples and so all weights are equal and small powers of two: only the quotients round")
+
+
+def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048):
+    """A case whose tolerance is 16 roundings times the condition number of the reference on these data."""
+    from gpusim.kernels.processor.adaptive_ref import CODES
+    from gpusim.kernels.processor.adaptive_ref import adaptive as reference
+
+    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain}
+    encode, decode = CODES[domain]
+    code = encode(raw - black_level)
+    exact = reference(raw, **options)
+    random = np.random.default_rng(4)
+    step, worst = 1e-7, 0.0
+    for _ in range(4):
+        nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
+        worst = max(worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max())
+    condition = max(worst / step / np.abs(exact).max(), 1.0)
+    return Case(name, {"raw": raw, **options}, 2 * 16 * 2.0**-24 * condition,
+                "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
+                "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
+                "reference tells; 2 because four random changes need not hit the worst one")
+
+
+def bench(rows, cols):
+    """A 10-bit mosaic."""
+    raw = np.random.default_rng(3).integers(0, 1024, (rows, cols), np.uint16)
+    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

@@ -1,0 +1,60 @@
+"""Gradient-adaptive demosaicking, float64: Hamilton-Adams with soft weights, on square roots of the signal.
+
+c = sgn(x) sqrt|x| (domain "root") or c = x ("linear"), with x = DN - black_level. Green at a red or blue pixel, along
+each axis (Hamilton & Adams 1997, US patent 5629734, expired):
+    g = (c[-1] + c[1]) / 2 + (2 c[0] - c[-2] - c[2]) / 4        s = |c[-1] - c[1]| + |2 c[0] - c[-2] - c[2]|
+and G = sum g / (s^2 + t^2) / sum 1 / (s^2 + t^2), where the original takes the g with the smaller s.
+Red and blue are G plus the colour difference d = c - G of the neighbours, first across the diagonals, then along the
+axes, each time of two pairs (p, q), (r, s) of opposite neighbours with weights 1 / (|p - q| + t), 1 / (|r - s| + t).
+"""
+
+import numpy as np
+
+from gpusim.kernels.processor.bilinear_ref import bilinear
+
+
+def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175):
+    """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
+    if 1 in raw.shape:
+        return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
+    encode, decode = CODES[domain]
+    t = threshold * encode(1 / scale)
+    rows, cols = raw.shape
+    signal = np.asarray(raw, np.float64) - black_level
+    letters = np.array(list(phase))[np.add.outer(2 * (np.arange(-2, rows + 2) % 2), np.arange(-2, cols + 2) % 2)]
+    c = np.pad(encode(signal), 2, mode="reflect")
+
+    here = _shifted(c, 2)
+    guesses, weights = [], []
+    for dy, dx in ((0, 1), (1, 0)):
+        before, after = here(-dy, -dx), here(dy, dx)
+        bend = 2 * here(0, 0) - here(-2 * dy, -2 * dx) - here(2 * dy, 2 * dx)
+        guesses.append((before + after) / 2 + bend / 4)
+        weights.append(1 / ((np.abs(before - after) + np.abs(bend)) ** 2 + t**2))
+    green = np.average(guesses, axis=0, weights=weights)
+    green = np.where(letters[2:-2, 2:-2] == "G", here(0, 0), green)
+
+    difference = c - np.pad(green, 2, mode="reflect")
+    planes = {"G": green}
+    for color in "RB":
+        near = _shifted(difference, 1)  # on the frame and a rim of one pixel, which the second step needs
+        diagonal = _blend(near(-1, -1), near(1, 1), near(-1, 1), near(1, -1), t)
+        near = _shifted(np.where(letters[1:-1, 1:-1] == color, near(0, 0), diagonal), 1)
+        axial = _blend(near(0, -1), near(0, 1), near(-1, 0), near(1, 0), t)
+        planes[color] = green + np.where(letters[2:-2, 2:-2] == "G", axial, near(0, 0))
+    return np.stack([np.where(letters[2:-2, 2:-2] == color, signal, decode(planes[color])) for color in "RGB"]) * scale
+
+
+CODES = {"root": (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)),
+         "linear": (lambda x: x, lambda y: y)}
+
+
+def _shifted(plane, rim):
+    """The function (dy, dx) -> the plane without its rim, as seen from (dy, dx) pixels away."""
+    rows, cols = plane.shape
+    return lambda dy, dx: plane[rim + dy : rows - rim + dy, rim + dx : cols - rim + dx]
+
+
+def _blend(p, q, r, s, t):
+    """The mean of two pairs; the pair that agrees better weighs more."""
+    return np.average([(p + q) / 2, (r + s) / 2], axis=0, weights=[1 / (np.abs(p - q) + t), 1 / (np.abs(r - s) + t)])

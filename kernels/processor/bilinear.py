@@ -1,0 +1,57 @@
+"""Bilinear demosaicking of a Bayer mosaic, with black level and scale.
+
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
+and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+"""
+
+import numpy as np
+
+from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def bilinear(device, raw, *, phase, black_level, scale):
+    """Missing colours as the mean of the nearest 2 or 4 samples; measured ones are kept.
+
+    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
+    The mosaic is mirrored at its borders without repeating the end pixel, which keeps every sample's colour; an axis
+    of a single pixel has no neighbour of another colour and mirrors onto itself. Nothing is clipped.
+    Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
+    Source: Losson, Macaire & Yang 2010, Advances in Imaging and Electron Physics 162, section 3.
+    """
+    check_mosaic(raw, scale)
+    red_row, red_col = red_pixel(phase)
+    rows, cols = raw.shape
+    out = device.empty((3, rows, cols))
+    pairs = cols // 2 + 1  # enough for either column phase
+    run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
+    device.launch("processor.bilinear", "bilinear", (rows, -(-pairs // run)), device.array(raw, np.uint16), out,
+                  float(black_level), float(scale), red_row, red_col, run, rows, cols,
+                  group=None if device.is_gpu else (1, 1))
+    return out
+
+
+def cases():
+    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    random = np.random.default_rng(2)
+    why = ("sums of four 16-bit integers and their halves are exact in float32, so only the subtraction and the "
+           "product round: (1 + 2^-24)^2 - 1 < 2^-23 (1 + 2^-24) relative")
+    for phase in RED:
+        for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (3, 5), (63, 65), (16, 130)):
+            raw = random.integers(0, 65536, (rows, cols), np.uint16)
+            raw.flat[0], raw.flat[-1] = 0, 65535
+            yield Case(f"{phase} {rows}x{cols}",
+                       {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}, 2.0**-23 * (1 + 2.0**-24),
+                       why, metric="local")
+    yield Case("black", {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 2.0},
+               0.0, "64 - 64 is exact", metric="exact")
+    yield Case("saturated", {"raw": np.full((6, 6), 65535, np.uint16), "phase": "RGGB", "black_level": 0.0,
+                             "scale": 1.0}, 0.0, "a flat field stays flat, and 16-bit integers are exact",
+               metric="exact")
+
+
+def bench(rows, cols):
+    """A 10-bit mosaic."""
+    raw = np.random.default_rng(2).integers(0, 1024, (rows, cols), np.uint16)
+    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
