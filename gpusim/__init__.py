@@ -1,8 +1,8 @@
 """Image systems simulation on CPU and GPU: scene radiance, optics, sensor, image processor, display.
 
-    import gpusim as gs
-    simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
-    frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame.raw, frame.rgb, frame.report
+import gpusim as gs
+simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
+frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame.raw, frame.rgb, frame.report
 """
 
 from importlib import import_module

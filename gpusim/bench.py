@@ -28,8 +28,9 @@ def bench(device: Device, stages: list[str] | None = None, size: tuple[int, int]
         failed = [row for row in verify(device, [name]) if not row["ok"]] if device.kind != "numpy" else []
         if failed:
             worst = failed[0]
-            yield {"stage": name, "device": device.name, "failed": f"{len(failed)} cases, such as {worst['case']}: error "
-                   f"{worst['max_error']:.3g}, tolerance {worst['tolerance']:.3g} ({worst['why']})"}
+            yield {"stage": name, "device": device.name,
+                   "failed": f"{len(failed)} cases, such as {worst['case']}: error {worst['max_error']:.3g}, tolerance "
+                             f"{worst['tolerance']:.3g} ({worst['why']})"}
             continue
         rms, largest = _errors(name, device)
         times, moved = _measure(name, device, size, seconds)

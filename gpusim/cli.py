@@ -100,8 +100,8 @@ def _bench(arguments):
     from gpusim.bench import bench
 
     rows = []
-    print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} {'x floor':>8s} "
-          f"{'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
+    print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} "
+          f"{'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
     for device in _devices(arguments.device):
         for row in bench(device, _stages(arguments.stage), arguments.size[::-1]):
             rows.append(row)
@@ -109,8 +109,8 @@ def _bench(arguments):
                 print(f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}")
                 continue
             ratio = f"{row['ratio_to_floor']:8.1f}" if row["ratio_to_floor"] else f"{'-':>8s}"
-            print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p20']:9.3f} {row['ms_p50']:9.3f} "
-                  f"{row['ms_p80']:9.3f} {row['gbps']:7.1f} {ratio} {row['build_ms']:9.1f} "
+            print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p20']:9.3f} "
+                  f"{row['ms_p50']:9.3f} {row['ms_p80']:9.3f} {row['gbps']:7.1f} {ratio} {row['build_ms']:9.1f} "
                   f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}")
     _write_json(arguments.json, rows)
     return 1 if any("failed" in row for row in rows) else 0

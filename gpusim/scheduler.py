@@ -73,8 +73,8 @@ class Frame:
 class Simulator:
     """A camera on a device.
 
-    camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a relative
-    RMS error or a Tolerance; with `verify` the report says whether it is met.
+    camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
+    relative RMS error or a Tolerance; with `verify` the report says whether it is met.
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
@@ -194,6 +194,7 @@ class Simulator:
     def _transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         device = self.device
+        assert made.gains is not None  # a plan with blur
         key = (made.q.tobytes(), made.period, made.gains.shape,
                made.weights.tobytes() if made.table_spectra is not None else None,
                made.table_spectra.tobytes() if made.table_spectra is not None else None)
@@ -231,8 +232,8 @@ class Simulator:
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = type(scene.content).__name__.lower()
-        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for a D65 light, and "
-                                              "saturation is display white"]
+        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for D65, "
+                                                 "saturation is display white"]
         return Report(
             {"name": scene.name, "rows": scene.shape[0], "cols": scene.shape[1], "form": form, "border": scene.border,
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],

@@ -68,19 +68,19 @@ def stage(function: Callable) -> Callable:
     The public form is called as `name(..., device="auto")`. On the NumPy device it is the reference. Otherwise arrays
     may be NumPy arrays or arrays of that device; the result is NumPy when every array given was.
     """
+    name = function.__module__.removeprefix("gpusim.kernels.")
     reference = _reference_of(function.__module__, function.__name__)
 
     @functools.wraps(function)
     def public(*args, device: Device | str = "auto", **kwargs):
         device = open_device(device) if isinstance(device, str) else device
         if device.kind == "numpy":
-            with device.host_work(public.stage_name):
+            with device.host_work(name):
                 return reference()(*args, **kwargs)
         result = function(device, *args, **kwargs)
         on_device = any(isinstance(value, device.array_type) for value in (*args, *kwargs.values()))
         return result if on_device else device.numpy(result).copy()
 
-    public.stage_name = function.__module__.removeprefix("gpusim.kernels.")
     return public
 
 

@@ -358,7 +358,7 @@ name = "srgb"
     assert made == Sensor(
         pixel_pitch=5e-6, qe=made.qe, full_well=20000.5, bits=14, cfa=("GB", "RG"), fill_factor=0.5, exposure_time=0.02,
         black_level=512, gain=0.25, read_noise=1.5, dark_current=0.1, prnu=0.01, dsnu=0.5, photon_noise=False,
-        fixed_pattern_seed=7, rows=480, cols=640)
+        fixed_pattern_seed=7)
     assert camera.processor == Processor("adaptive", "none", "none", "munsell", "white")
 
 

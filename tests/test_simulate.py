@@ -11,7 +11,6 @@ import gpusim
 from gpusim.cli import main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
-from gpusim.io.scenes import open_scene
 from gpusim.scheduler import Simulator
 
 DEVICES = ["opencl", "warp:cpu", "numpy"]
@@ -25,8 +24,9 @@ def run(capsys, *argv):
 
 @pytest.mark.parametrize("camera", ["phone", "machine-vision", "figure8", "mono"])
 def test_mean_electrons_agree_with_the_reference(camera):
-    """Largest error over the frame's peak below 2.4e-6 + 1e-6: the tolerances of blur and tables, the rest is smaller."""
-    for scene in (chart("colorchecker", size=(65, 49)), chart("points", size=(40, 33)), chart("slanted-edge", size=(31, 64))):
+    """Largest error over the peak below 2.4e-6 + 1e-6: the tolerances of blur and tables, the rest is smaller."""
+    for name, size in (("colorchecker", (65, 49)), ("points", (40, 33)), ("slanted-edge", (31, 64))):
+        scene = chart(name, size=size)
         reference = Simulator(open_camera(camera), device="numpy").expose(scene)
         for device in ("opencl", "warp:cpu"):
             simulator = Simulator(open_camera(camera), device=device)
@@ -35,7 +35,7 @@ def test_mean_electrons_agree_with_the_reference(camera):
 
 
 def test_scene_forms_agree():
-    """The same spectra as cube, basis and materials give the same electrons: three paths through the spectral stages."""
+    """The same spectra as cube, basis and materials give the same electrons: three paths through the stages."""
     from dataclasses import replace
 
     from gpusim.domain.scene import Basis, Cube
@@ -147,8 +147,9 @@ def test_simulate_writes_every_format(tmp_path, capsys):
     rawpy = pytest.importorskip("rawpy", reason="the judge of DNG files is LibRaw")
     outs = [tmp_path / f"a{suffix}" for suffix in (".png", ".dng", ".npz", ".exr")]
     report = tmp_path / "a.json"
-    status, out, _ = run(capsys, "simulate", "colorchecker", "--camera", "phone", "--size", "97x65", "--device", "opencl",
-                         *(a for o in outs for a in ("-o", o)), "--report", report, "--verify", "--tolerance", "video")
+    status, out, _ = run(capsys, "simulate", "colorchecker", "--camera", "phone", "--size", "97x65", "--device",
+                         "opencl", *(a for o in outs for a in ("-o", o)), "--report", report, "--verify",
+                         "--tolerance", "video")
     assert status == 0 and "tolerance: met" in out
     stored = np.load(outs[2])
     with rawpy.imread(str(outs[1])) as raw:

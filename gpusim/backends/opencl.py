@@ -1,6 +1,7 @@
 """OpenCL devices: PoCL on CPUs, any vendor's GPU."""
 
 import time
+from collections import defaultdict
 from math import prod
 from pathlib import Path
 
@@ -10,15 +11,33 @@ from gpusim.backends.device import Device
 from gpusim.domain.errors import DeviceError
 
 PAGE = 4096
+FREE_BLOCKS = 32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
 CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
 
 
 class OpenCLArray:
-    """A buffer with a shape; `host` is the same memory as NumPy on CPU devices, None elsewhere."""
+    """A buffer with a shape; `host` is the same memory as NumPy on CPU devices, None elsewhere.
 
-    def __init__(self, buffer, shape, dtype, host=None):
-        self.buffer, self.shape, self.dtype, self.host = buffer, tuple(shape), np.dtype(dtype), host
+    owner: what must live as long as the buffer is in use.
+    """
+
+    def __init__(self, buffer, shape, dtype, host=None, owner=None):
+        self.buffer, self.shape, self.dtype = buffer, tuple(shape), np.dtype(dtype)
+        self.host, self.owner = host, owner
         self.nbytes = prod(self.shape) * self.dtype.itemsize
+
+
+class _Block:
+    """Memory that goes back to its device's free list when nothing refers to it, NumPy views included."""
+
+    def __init__(self, free, nbytes, buffer, host):
+        self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host
+        if host is not None:
+            self.__array_interface__ = host.__array_interface__  # np.asarray(block) keeps the block alive
+
+    def __del__(self):
+        if sum(map(len, self.free.values())) < FREE_BLOCKS:
+            self.free[self.nbytes].append((self.buffer, self.host))
 
 
 class OpenCLDevice(Device):
@@ -41,6 +60,7 @@ class OpenCLDevice(Device):
         self._kernels: dict = {}
         self._programs: dict = {}
         self._events: list = []
+        self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
 
@@ -65,18 +85,24 @@ class OpenCLDevice(Device):
     def empty(self, shape, dtype=np.float32):
         dtype = np.dtype(dtype)
         nbytes = max(prod(shape) * dtype.itemsize, 1)
+        buffer, host = self._free[nbytes].pop() if self._free[nbytes] else self._allocate(nbytes)
+        block = _Block(self._free, nbytes, buffer, host)
+        if host is not None:
+            host = np.asarray(block)[: prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
+        return OpenCLArray(buffer, shape, dtype, host, block)
+
+    def _allocate(self, nbytes):
         flags = self._cl.mem_flags
-        if self.on_host:
-            store = np.empty(nbytes + PAGE, np.uint8)  # page-aligned memory is shared, not copied
-            start = -store.ctypes.data % PAGE
-            host = store[start : start + nbytes]
-            buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host)
-            view = host[: prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
-            return OpenCLArray(buffer, shape, dtype, view)
-        return OpenCLArray(self._cl.Buffer(self.context, flags.READ_WRITE, nbytes), shape, dtype)
+        if not self.on_host:
+            return self._cl.Buffer(self.context, flags.READ_WRITE, nbytes), None
+        store = np.empty(nbytes + PAGE, np.uint8)  # page-aligned memory is shared, not copied
+        start = -store.ctypes.data % PAGE
+        host = store[start : start + nbytes]
+        return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host), host
 
     def reshape(self, array, shape):
-        return OpenCLArray(array.buffer, shape, array.dtype, None if array.host is None else array.host.reshape(shape))
+        host = None if array.host is None else array.host.reshape(shape)
+        return OpenCLArray(array.buffer, shape, array.dtype, host, array.owner)
 
     def numpy(self, array):
         if isinstance(array, np.ndarray):
@@ -149,7 +175,7 @@ class OpenCLDevice(Device):
                 self._programs[key] = program.build(["-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt",
                                                      "-I", str(include)])
             except self._cl.Error as error:
-                raise DeviceError(f"{self.name} ({self.cl_device.name}): building {stage}.cl failed: {error}") from error
+                raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {error}") from error
             self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
         return self._programs[key]
 

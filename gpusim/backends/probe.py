@@ -67,7 +67,7 @@ def devices(refresh: bool = False) -> list[dict]:
 
 def _cache_path():
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
-    facts = [sys.executable, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
+    facts = [sys.prefix, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
         "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES"))]
     for package in ("gpusim", "pyopencl", "pocl-binary-distribution", "warp-lang"):
         try:

@@ -35,4 +35,4 @@ def open_device(name: str = "auto") -> Device:
                 return OpenCLDevice(device, f"opencl:{number}")
         listed = "; ".join(f"opencl:{n} = {d.name.strip()} ({d.platform.name})" for n, d in enumerate(devices))
         raise DeviceError(f"no OpenCL device {which!r}; there is: {listed or 'none (pip install pyopencl[pocl])'}")
-    raise DeviceError(f"unknown device {name!r}: use auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy")
+    raise DeviceError(f"unknown device {name!r}: use auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N, numpy")

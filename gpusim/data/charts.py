@@ -5,9 +5,9 @@ import inspect
 import numpy as np
 
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.domain.memory import require_memory
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Materials, Scene
 from gpusim.domain.spectrum import Spectrum
 

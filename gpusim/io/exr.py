@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.memory import require_memory
 from gpusim.domain.errors import BadData, BadFile, UnknownName
+from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
 from gpusim.io.atomic import atomic_path
 

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.memory import require_memory
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.atomic import atomic_path
@@ -34,7 +34,7 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says 
 def write_npz(path, scene: Scene):
     """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
     content = scene.content
-    arrays = {"wavelengths_nm": content.wavelengths}
+    arrays: dict = {"wavelengths_nm": content.wavelengths}
     if isinstance(content, Cube):
         arrays |= {"cube": content.values}
     elif isinstance(content, Basis):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.memory import require_memory
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.errors import BadFile
+from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Basis, Materials
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

@@ -15,8 +15,8 @@ from gpusim.planner.plan import Plan
 class Rendering:
     """Colour transforms of one exposure; a camera value is (DN - black level) / (white level - black level).
 
-    display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so that
-    blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
+    display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
+    that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
     camera_from_xyz: XYZ to values scaled like `neutral`, shape (3, 3); None without a colour matrix. model: in words.
     """
 

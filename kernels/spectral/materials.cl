@@ -1,18 +1,18 @@
-// One pixel per work-item writes all its planes; the table stays in cache.
+// One pixel per work-item writes all its planes; unrolled, so that neighbours form the vector. PLANES: from the host.
 __kernel void materials(
     // in:
     __global const ushort *restrict ids,
     __global const float *restrict shading,
-    __global const float *restrict table,  // [planes][count]
+    __global const float *restrict table,  // [PLANES][count]
     // out:
-    __global float *restrict planes,       // [planes][rows][cols]
+    __global float *restrict planes,       // [PLANES][pixels]
     // sizes:
-    const int rows, const int cols, const int plane_count, const int count)
+    const int pixels, const int count)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    GUARD(x >= cols || y >= rows)
-    const int i = y * cols + x;
+    const size_t i = get_global_id(0);
+    GUARD(i >= pixels)
     const int id = ids[i];
     const float shade = shading[i];
-    for (int p = 0; p < plane_count; ++p) planes[(size_t)p * rows * cols + i] = shade * table[p * count + id];
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) planes[(size_t)p * pixels + i] = shade * table[p * count + id];
 }

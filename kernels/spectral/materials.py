@@ -21,7 +21,8 @@ def materials(device, ids, shading, table):
     ids, shading, table = device.array(ids, np.uint16), device.array(shading), device.array(table)
     planes, count = table.shape
     out = device.empty((planes, rows, cols))
-    device.launch("spectral.materials", "materials", (rows, cols), ids, shading, table, out, rows, cols, planes, count)
+    device.launch("spectral.materials", "materials", (rows * cols,), ids, shading, table, out, rows * cols, count,
+                  *(() if device.kind == "opencl" else (planes, cols)), defines={"PLANES": planes})
     return out
 
 
@@ -37,7 +38,7 @@ def cases():
 
 
 def bench(rows, cols):
-    """The 24 patches of a ColorChecker to three channels."""
+    """The 24 patches of a ColorChecker to 31 bands."""
     random = np.random.default_rng(2)
     return {"ids": random.integers(0, 24, (rows, cols)).astype(np.uint16),
-            "shading": random.random((rows, cols), np.float32), "table": random.random((3, 24), np.float32)}
+            "shading": random.random((rows, cols), np.float32), "table": random.random((31, 24), np.float32)}

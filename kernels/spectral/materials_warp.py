@@ -14,12 +14,14 @@ def materials(
     # out:
     planes: wp.array3d[float],
     # sizes:
-    rows: int,
-    cols: int,
-    plane_count: int,
+    pixels: int,
     count: int,
+    plane_count: int,
+    cols: int,
 ):
-    y, x = wp.tid()
+    i = wp.tid()
+    y = i // cols
+    x = i - y * cols
     material = int(ids[y, x])
     shade = shading[y, x]
     for p in range(plane_count):
