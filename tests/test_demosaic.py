@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from devices import ALL
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.kernels.processor.adaptive import adaptive
@@ -9,7 +10,6 @@ from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.bilinear import bilinear
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*scipy.ndimage.filters:DeprecationWarning")  # colour-demosaicing's
-DEVICES = ["numpy", "opencl:0", "warp:cpu"]
 SIZES = [(1, 1), (1, 6), (7, 1), (2, 2), (2, 5), (3, 5), (4, 4), (33, 38)]
 PLAIN = {"black_level": 0.0, "scale": 1.0}
 
@@ -28,7 +28,7 @@ def noise(rows, cols, seed=1):
 
 
 @pytest.mark.parametrize("phase", RED)
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_bilinear_is_that_of_colour_demosaicing(phase, device):
     from colour_demosaicing import demosaicing_CFA_Bayer_bilinear
 
@@ -41,7 +41,7 @@ def test_bilinear_is_that_of_colour_demosaicing(phase, device):
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
 @pytest.mark.parametrize("phase", RED)
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_border_is_the_mirrored_mosaic(method, phase, device):
     """A frame demosaicked alone is the inside of its mirrored surroundings, whatever its size."""
     for rows, cols in SIZES[3:]:
@@ -53,7 +53,7 @@ def test_border_is_the_mirrored_mosaic(method, phase, device):
 
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_flat_field_stays_flat_at_any_size(method, device):
     for shape in SIZES:
         for phase in RED:
@@ -63,7 +63,7 @@ def test_flat_field_stays_flat_at_any_size(method, device):
 
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_measured_samples_are_kept(method, device):
     for phase in RED:
         raw = noise(9, 10)
@@ -72,7 +72,7 @@ def test_measured_samples_are_kept(method, device):
 
 
 @pytest.mark.parametrize("options", [{}, {"domain": "linear"}], ids=["root", "linear"])
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
     """No direction and no phase is preferred: the four phases and the transpose are mirror images of each other.
 
@@ -89,14 +89,14 @@ def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
     np.testing.assert_allclose(transposed.transpose(0, 2, 1), straight, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_red_and_blue_are_treated_alike(device):
     raw = noise(20, 21)
     np.testing.assert_array_equal(adaptive(raw, phase="RGGB", **PLAIN, device=device)[::-1],
                                   adaptive(raw, phase="BGGR", **PLAIN, device=device))
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_brightness_does_not_matter(device):
     """Four times the exposure gives four times the picture: thresholds follow the scale."""
     raw = noise(20, 21)
@@ -107,7 +107,7 @@ def test_brightness_does_not_matter(device):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_gray_edge_has_no_zipper(axis, device):
     """Across a step of 1000 DN the weight of the wrong direction is t^2 / (s^2 + 2 t^2) < 3.1e-4 (t = 17.5, s >= 1000).
 
@@ -123,7 +123,7 @@ def test_gray_edge_has_no_zipper(axis, device):
 
 
 def test_wrong_input_is_refused():
-    options = {"phase": "RGGB", **PLAIN, "device": "opencl:0"}
+    options = {"phase": "RGGB", **PLAIN, "device": "opencl"}
     for method in (bilinear, adaptive):
         with pytest.raises(UnknownName):
             method(noise(4, 4), **{**options, "phase": "RGBG"})
@@ -152,7 +152,7 @@ def cpsnr(estimate, image):
 
 
 def picture(method, raw, **options):
-    return np.moveaxis(method(raw, phase="RGGB", **PLAIN, device="opencl:0", **options), 0, 2)
+    return np.moveaxis(method(raw, phase="RGGB", **PLAIN, device="opencl", **options), 0, 2)
 
 
 def test_quality_on_one_photograph(shared_data):
@@ -171,7 +171,7 @@ def test_root_domain_suits_linear_light(shared_data):
     quality = {}
     for domain in ("root", "linear"):
         rgb = np.moveaxis(adaptive(raw, phase="RGGB", black_level=0.0, scale=1 / 4095, domain=domain,
-                                   device="opencl:0"), 0, 2)
+                                   device="opencl"), 0, 2)
         quality[domain] = cpsnr(255 * colour.models.eotf_inverse_sRGB(np.clip(rgb, 0, 1).astype(float)), image)
     assert quality["root"] > quality["linear"] + 2
 

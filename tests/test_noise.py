@@ -6,11 +6,11 @@ random numbers would fail it.
 
 import numpy as np
 import pytest
+from devices import DEVICES
 from scipy import stats  # noqa: TID253  tests are not imported by the package
 from scipy.special import ndtr
 
 from gpusim.backends import open_device
-from gpusim.backends.probe import devices
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.common import exact_ref
 from gpusim.kernels.common.philox_ref import philox, seed_words
@@ -21,7 +21,6 @@ from gpusim.kernels.stage import compare
 ALPHA = 1e-6
 SIGMAS = stats.norm.isf(ALPHA / 2)  # 4.9
 f32 = np.float32
-DEVICES = [entry["name"] for entry in devices() if entry["name"] != "numpy" and not entry["error"]]
 MEANS = [1e-8, 1e-3, 0.1, 0.5, 3, 5, 11.9, 12, 12.1, 30, 87, 88, 104, 300, 1e3, 1e4, 1e5, 1e7]
 IDEAL = {"full_well": np.inf, "gain": 1.0, "white_level": 65535}
 

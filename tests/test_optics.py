@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from devices import ALL, DEVICES
 from scipy.integrate import dblquad
 from scipy.special import j1
 
@@ -9,8 +10,6 @@ from gpusim.backends import open_device
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
 from gpusim.kernels.optics.blur import blur
-
-DEVICES = ["numpy", "opencl", "warp:cpu"]
 
 
 def airy_pattern(r, q):
@@ -44,7 +43,7 @@ def test_otf_closed_form_values():
     np.testing.assert_allclose(otf(np.array([0, 0.5, 1, 2])), [1, 2 / 3 - np.sqrt(3) / (2 * np.pi), 0, 0], atol=1e-15)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 @pytest.mark.parametrize(("q", "fill"), [(0.71, 1.0), (1.1, 0.75), (3.14, 1.0)])
 def test_image_of_a_point_is_the_airy_pattern_integrated_over_pixels(q, fill, device):
     """Peak and neighbours, by adaptive quadrature over the aperture, within 1e-5 of the peak.
@@ -64,7 +63,7 @@ def test_image_of_a_point_is_the_airy_pattern_integrated_over_pixels(q, fill, de
     np.testing.assert_allclose(image, image.T, atol=1e-6 * truth[0, 0])
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 @pytest.mark.parametrize("border", ["edge", "reflect"])
 def test_flat_field_stays_flat(border, device):
     """T(0) = 1 and the surroundings go on: a flat field is unchanged to the rounding of two float32 transforms."""
@@ -75,7 +74,7 @@ def test_flat_field_stays_flat(border, device):
     np.testing.assert_allclose(image, 9.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_no_ringing_beside_a_highlight(device):
     """A 1e6 highlight leaves nothing below -1e-6 of its peak; cut at Nyquist the OTF rings to -1.6e-2."""
     period = (135, 135)
@@ -86,7 +85,7 @@ def test_no_ringing_beside_a_highlight(device):
     assert image.min() > -1e-6 * image.max()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ALL)
 def test_border_rules(device):
     """Outside is dark, goes on, or is mirrored; a 3-pixel box kernel shows it in closed form."""
     period = (16, 16)
@@ -99,7 +98,7 @@ def test_border_rules(device):
         np.testing.assert_allclose(image[0], [[ends[0], 3.0, 4.0, ends[1]]] * 2, atol=1e-5)
 
 
-@pytest.mark.parametrize("device", ["opencl", "warp:cpu"])
+@pytest.mark.parametrize("device", DEVICES)
 def test_kernel_transforms_equal_the_library_ones(device, monkeypatch):
     """The transforms that GPUs use, run on the CPU: the same stage, the same tolerances."""
     from gpusim.kernels.common import fft

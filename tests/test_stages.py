@@ -4,13 +4,12 @@ import re
 from pathlib import Path
 
 import pytest
+from devices import DEVICES
 
 from gpusim.backends.probe import devices
 from gpusim.backends.select import open_device
 from gpusim.kernels.stage import ROOT, stage_module, stage_names
 from gpusim.verify import verify
-
-DEVICES = [entry["name"] for entry in devices() if entry["name"] != "numpy"]
 
 
 def test_the_devices_of_a_plain_installation_are_there_and_work():
