@@ -75,9 +75,10 @@ def stage(function: Callable) -> Callable:
     def public(*args, device: Device | str = "auto", **kwargs):
         device = open_device(device) if isinstance(device, str) else device
         if device.kind == "numpy":
-            with device.host_work(name):
+            with device.charged(name), device.host_work():
                 return reference()(*args, **kwargs)
-        result = function(device, *args, **kwargs)
+        with device.charged(name):
+            result = function(device, *args, **kwargs)
         on_device = any(isinstance(value, device.array_type) for value in (*args, *kwargs.values()))
         return result if on_device else device.numpy(result).copy()
 

@@ -125,7 +125,7 @@ class OpenCLDevice(Device):
         for size, block, offset in self._pieces(tuple(grid), group):
             event = entry(self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1])
             if self._times is not None:
-                self._events.append((stage, event))
+                self._events.append((self._charged or stage, event))
         self._in_flight.append(args)
 
     def _pieces(self, grid, group):

@@ -17,14 +17,14 @@ def fft_length(minimum: int) -> int:
     return next(length for length in LENGTHS if length >= minimum)
 
 
-def forward(device, planes, stage):
-    """Spectra of `planes` (planes, rows, cols); the time counts as `stage`'s. `planes` may be overwritten."""
+def forward(device, planes):
+    """Spectra of `planes` (planes, rows, cols); `planes` may be overwritten."""
     count, rows, cols = planes.shape
     half = cols // 2 + 1
     if device.on_host:
         import scipy.fft
 
-        with device.host_work(stage):
+        with device.host_work():
             spectra = scipy.fft.rfft2(device.numpy(planes), workers=os.cpu_count(), overwrite_x=True)
         return device.array(spectra.view(np.float32).reshape(count, rows, half, 2))
     front, back = device.empty((count, rows, cols, 2)), device.empty((count, rows, cols, 2))
@@ -34,14 +34,14 @@ def forward(device, planes, stage):
     return front
 
 
-def inverse(device, spectra, cols, stage):
+def inverse(device, spectra, cols):
     """Planes (planes, rows, cols) whose spectra these are, normalised; `spectra` is overwritten."""
     count, rows, pitch, _ = spectra.shape
     half = cols // 2 + 1
     if device.on_host:
         import scipy.fft
 
-        with device.host_work(stage):
+        with device.host_work():
             values = device.numpy(spectra).view(np.complex64)[..., 0]
             planes = scipy.fft.irfft2(values, (rows, cols), workers=os.cpu_count(), overwrite_x=True)
         return device.array(planes)

@@ -42,7 +42,7 @@ def blur(device, planes, tables, gains, border, period, margin=0):
         extended = device.empty((size, *period))
         device.launch("optics.blur", "extend", extended.shape, planes, extended, first, BORDERS[border], *before,
                       rows, cols, *extended.shape)
-        spectra = fft.forward(device, extended, "optics.blur")
+        spectra = fft.forward(device, extended)
         pitch, half = spectra.shape[2], period[1] // 2 + 1
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
@@ -50,7 +50,7 @@ def blur(device, planes, tables, gains, border, period, margin=0):
                       device.array(gains[:, first : first + size]), sums, int(first == 0), first, count, own_tables,
                       *(() if device.kind == "opencl" else (size, channels)), period[0], half, pitch,
                       defines={"SIZE": size, "CHANNELS": channels})
-    blurred = fft.inverse(device, sums, period[1], "optics.blur")
+    blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
     device.launch("optics.blur", "crop", out.shape, blurred, out, *(n + margin for n in before), *out.shape, *period)
     return out
