@@ -64,7 +64,7 @@ class WarpDevice(Device):
             return
         self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
         if self._times is not None:
-            self._times[self._charged or stage] += 1e3 * (time.perf_counter() - begin)  # Warp's CPU launches return when done
+            self._times[self._charged or stage] += 1e3 * (time.perf_counter() - begin)  # CPU launches return when done
 
     def _kernel(self, stage, kernel):
         module = f"gpusim.kernels.{stage}_warp"
