@@ -1,5 +1,6 @@
 """Walking a Bayer mosaic row by row: the same as bayer.clh."""
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 

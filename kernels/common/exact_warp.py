@@ -3,6 +3,7 @@
 Modules that use them must set `fuse_fp=False`, so that every operation is rounded on its own.
 """
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  imported only by modules that a Warp device launches
 
 LN2_HIGH = wp.constant(0.693145752)

@@ -1,5 +1,6 @@
 """Philox4x32-10 as a Warp function (Salmon et al. 2011, section 3.3)."""
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  imported only by modules that a Warp device launches
 
 MULTIPLIER_A = wp.constant(wp.uint64(0xD2511F53))

@@ -1,5 +1,6 @@
 """The transforms are elsewhere (common/fft.py); these kernels extend, weight and sum, and crop, all memory-bound."""
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 wp.set_module_options({"enable_backward": False})

@@ -1,5 +1,6 @@
 """One run of pairs (own colour, green) of one row per thread, as in bilinear.cl."""
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane

@@ -1,5 +1,6 @@
 """From mean electrons to digital numbers, one pixel per thread. `noise_ref` has the formulas."""
 
+# mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.common.exact_warp import exact_exp_negative, exact_normal_pair, exact_uniform
