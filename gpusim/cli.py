@@ -159,8 +159,10 @@ def _write_json(path, rows):
         return
     from gpusim.io.atomic import atomic_path
 
+    # JSON has no infinity: a stage that failed to run has the error null
+    rows = [{key: None if value == float("inf") else value for key, value in row.items()} for row in rows]
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(rows, indent=2) + "\n")
+        temporary.write_text(json.dumps(rows, indent=2, allow_nan=False) + "\n")
 
 
 def _size(text):

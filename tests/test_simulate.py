@@ -241,8 +241,9 @@ def test_verify_command_counts_failures(tmp_path, capsys, monkeypatch):
         raise RuntimeError("the device is gone")
 
     monkeypatch.setattr(stage, "materials", broken)
-    status, out, _ = run(capsys, "verify", "--device", "opencl", "--stage", "spectral.materials")
+    status, out, _ = run(capsys, "verify", "--device", "opencl", "--stage", "spectral.materials", "--json", rows)
     assert status == 1 and "the device is gone" in out
+    assert json.loads(rows.read_text())[0]["max_error"] is None
 
 
 def test_bench_refuses_a_stage_that_fails(capsys, monkeypatch, tmp_path):

@@ -19,11 +19,12 @@ float transfer(const float s)
 
 __kernel void airy(
     // in:
-    __global const float *restrict q,
+    __global const float *restrict q,       // [bands] of the launch
+    __global const int *restrict which,     // [bands] where each stands in the tables
     __global const float *restrict sinc_y,  // [replicas][rows]
     __global const float *restrict sinc_x,  // [replicas][cols]
     // out:
-    __global float *restrict tables,        // [bands][rows][cols]
+    __global float *restrict tables,        // [all bands][rows][cols]
     // params:
     const float step_y, const float step_x,
     // sizes:
@@ -44,5 +45,5 @@ __kernel void airy(
         }
         sum += row * sinc_y[(a - LOW) * rows + y];
     }
-    tables[((size_t)band * rows + y) * cols + x] = sum;
+    tables[((size_t)which[band] * rows + y) * cols + x] = sum;
 }

@@ -11,8 +11,6 @@ f in cycles per pixel, w the aperture's width in pixels, O the transfer function
 because O ends at 1/q. Cutting it at Nyquist instead (a = b = 0 alone) rings by 2 % of a highlight's peak.
 """
 
-from math import floor
-
 import numpy as np
 
 from gpusim.kernels.stage import Case, stage
@@ -30,14 +28,17 @@ def airy(device, q, aperture, rows, cols):
     q = np.asarray(device.numpy(q), np.float32)
     shape = (len(q), rows // 2 + 1, cols // 2 + 1)
     tables = device.empty(shape)
-    cutoff = 1 / float(q.min())  # beyond |f| = 1/q nothing passes, so the replicas that reach [0, 1/2] are few:
-    low, high = -floor(cutoff + 0.5), floor(cutoff)
-    replicas = np.arange(low, high + 1)[:, None]
-    sinc_y = np.sinc(aperture * (replicas + np.arange(shape[1]) / rows))
-    sinc_x = np.sinc(aperture * (replicas + np.arange(shape[2]) / cols))
-    device.launch("optics.airy", "airy", shape, device.array(q), device.array(sinc_y), device.array(sinc_x), tables,
-                  1 / rows, 1 / cols, *(() if device.kind == "opencl" else (low, high)), *shape,
-                  defines={"LOW": low, "HIGH": high})
+    # Beyond |f| = 1/q nothing passes. Bands that the same few replicas reach [0, 1/2] from are done together.
+    lowest, highest = -np.floor(1 / q + 0.5).astype(int), np.floor(1 / q).astype(int)
+    for low, high in sorted(set(zip(lowest.tolist(), highest.tolist(), strict=True))):
+        which = np.flatnonzero((lowest == low) & (highest == high))
+        replicas = np.arange(low, high + 1)[:, None]
+        sinc_y = np.sinc(aperture * (replicas + np.arange(shape[1]) / rows))
+        sinc_x = np.sinc(aperture * (replicas + np.arange(shape[2]) / cols))
+        device.launch("optics.airy", "airy", (len(which), *shape[1:]), device.array(q[which]),
+                      device.array(which, np.int32), device.array(sinc_y), device.array(sinc_x), tables, 1 / rows,
+                      1 / cols, *(() if device.kind == "opencl" else (low, high)), len(which), *shape[1:],
+                      defines={"LOW": low, "HIGH": high})
     return tables
 
 
