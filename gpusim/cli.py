@@ -99,11 +99,12 @@ def _verify(arguments):
 def _bench(arguments):
     from gpusim.bench import bench
 
-    rows = []
+    rows: list[dict] = []
+    devices, stages = _devices(arguments.device), _stages(arguments.stage)
     print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} "
           f"{'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
-    for device in _devices(arguments.device):
-        for row in bench(device, _stages(arguments.stage), arguments.size[::-1]):
+    for device in devices:
+        for row in bench(device, stages, arguments.size[::-1]):
             rows.append(row)
             if "failed" in row:
                 print(f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}")
@@ -185,8 +186,15 @@ def _whole(low, high):
     return read
 
 
+class _OneLineParser(argparse.ArgumentParser):
+    """Wrong arguments are said in one line, as every other mistake is."""
+
+    def error(self, message):
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
 def _parser():
-    parser = argparse.ArgumentParser(prog="gpusim", description="Simulate a camera: scene radiance, optics, sensor, "
+    parser = _OneLineParser(prog="gpusim", description="Simulate a camera: scene radiance, optics, sensor, "
                                      "image processor, display.")
     parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -16,7 +16,10 @@ from gpusim.scheduler import Simulator
 
 
 def run(capsys, *argv):
-    status = main([str(a) for a in argv])
+    try:
+        status = main([str(a) for a in argv])
+    except SystemExit as stop:  # argparse ends the program itself
+        status = stop.code
     captured = capsys.readouterr()
     return status, captured.out, captured.err
 
@@ -205,6 +208,8 @@ BAD = [
     (["flat", "--size", "40000x40000"], "40000"),
     (["flat", "--size", "0x10"], "0"),
     (["flat", "--band", "red"], "--band"),
+    (["flat", "--frames", "0"], "--frames: '0': wanted a whole number"),
+    (["flat", "--colour"], "unrecognized arguments: --colour"),
 ]
 
 

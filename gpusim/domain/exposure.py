@@ -33,5 +33,6 @@ def auto_exposure(electron_rate, saturation: float, level: float = 0.95, method:
         raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
     rate = float(np.max(electron_rate) if method == "full" else np.mean(electron_rate, dtype=np.float64))
     if not 0 < rate < np.inf:
-        raise BadData(f"automatic exposure: the {method} signal is {rate:.4g} e-/s; a dark scene needs exposure_time")
+        raise BadData(f"automatic exposure: the {method} signal is {rate:.4g} e-/s; a dark scene needs "
+                      "exposure_time_ms in the camera file")
     return level * saturation / rate

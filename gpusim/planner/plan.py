@@ -63,7 +63,10 @@ def plan(scene: Scene, camera: Camera, fft_length) -> Plan:
         factors.append(optics.transmission)
     else:
         constant *= optics.transmission
-    weights = constant * product_weights(nodes, *factors)
+    try:
+        weights = constant * product_weights(nodes, *factors)
+    except BadData as error:
+        raise BadData(f"{scene.name} by {camera.name}: {error}") from None
     if not (weights > 0).any():
         raise BadData(f"{scene.name}: camera {camera.name} sees none of its light "
                       f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
