@@ -26,7 +26,6 @@ def transfer(s: float):
 def airy(
     # in:
     q: wp.array[float],
-    which: wp.array[int],
     sinc_y: wp.array2d[float],
     sinc_x: wp.array2d[float],
     # out:
@@ -55,4 +54,4 @@ def airy(
             if s < 1.0:
                 row += transfer(s) * sinc_x[b - low, x]
         total += row * sinc_y[a - low, y]
-    tables[which[band], y, x] = total
+    tables[band, y, x] = total
