@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from gpusim import __version__
-from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -28,15 +28,18 @@ def main(argv: list[str] | None = None) -> int:
 
 def _simulate(arguments):
     from gpusim.data.cameras import open_camera
-    from gpusim.io.atomic import atomic_path
+    from gpusim.io.atomic import atomic_path, check_output
     from gpusim.io.scenes import open_scene
     from gpusim.scheduler import Simulator
 
     outputs = [_numbered(path, arguments.frames) for path in arguments.out]
-    for path in (*arguments.out, *([arguments.report] if arguments.report else [])):
-        if not Path(path).absolute().parent.is_dir():  # said before the work, not after it
-            raise BadFile(path, f"the folder {Path(path).parent} does not exist")
+    for path in (*arguments.out, arguments.report):
+        check_output(path)  # said before the work, not after it
     camera = open_camera(arguments.camera)
+    if any(Path(path).suffix.lower() == ".dng" for path in arguments.out) and not (
+            camera.sensor.is_monochrome or camera.processor.color == "matrix"):
+        raise OutOfRange("processor.color with a .dng output", f'"{camera.processor.color}"',
+                         '"matrix": a raw converter needs the colour matrix')
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
                        bands=bands, border=arguments.border)
@@ -61,7 +64,7 @@ def _simulate(arguments):
         with atomic_path(arguments.report) as temporary:
             plain = [report.as_dict() for report in reports]
             temporary.write_text(json.dumps(plain[0] if arguments.frames == 1 else plain, indent=2) + "\n")
-    return 0
+    return 1 if any(report.meets_tolerance is False for report in reports) else 0
 
 
 def _numbered(path, count):
@@ -84,27 +87,35 @@ def _named(text):
 
 
 def _verify(arguments):
+    from gpusim.io.atomic import check_output
     from gpusim.verify import verify
 
-    rows = [row for device in _devices(arguments.device) for row in verify(device, _stages(arguments.stage))]
+    check_output(arguments.json)
+    devices, broken = _devices(arguments.device)
+    rows = broken + [row for device in devices for row in verify(device, _stages(arguments.stage))]
     for row in rows:
         print(f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['stage']:22s} {row['max_error']:9.2e} "
               f"(tolerance {row['tolerance']:8.2e})  {row['case']}" + ("" if row["ok"] else f": {row['why']}"))
     failed = sum(not row["ok"] for row in rows)
     print(f"{len(rows) - failed} passed, {failed} failed")
     _write_json(arguments.json, rows)
-    return 1 if failed else 0
+    return 1 if failed or not rows else 0
 
 
 def _bench(arguments):
     from gpusim.bench import bench
+    from gpusim.data.charts import checked_size
+    from gpusim.io.atomic import check_output
 
+    check_output(arguments.json)
+    size = checked_size(arguments.size)[::-1]
     rows: list[dict] = []
-    devices, stages = _devices(arguments.device), _stages(arguments.stage)
+    devices, broken = _devices(arguments.device)
+    stages = _stages(arguments.stage)
     print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} "
           f"{'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
     for device in devices:
-        for row in bench(device, stages, arguments.size[::-1]):
+        for row in bench(device, stages, size):
             rows.append(row)
             if "failed" in row:
                 print(f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}")
@@ -113,8 +124,11 @@ def _bench(arguments):
             print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p20']:9.3f} "
                   f"{row['ms_p50']:9.3f} {row['ms_p80']:9.3f} {row['gbps']:7.1f} {ratio} {row['build_ms']:9.1f} "
                   f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}")
+    for row in broken:
+        rows.append({"stage": row["stage"], "device": row["device"], "failed": row["why"]})
+        print(f"{row['device']:10s} no speed: {row['why']}")
     _write_json(arguments.json, rows)
-    return 1 if any("failed" in row for row in rows) else 0
+    return 1 if any("failed" in row for row in rows) or not rows else 0
 
 
 def _list_devices(arguments):
@@ -136,13 +150,16 @@ def _list_devices(arguments):
 
 
 def _devices(name):
-    """Open the device named, or every usable one for "all"."""
+    """Open the device named, or all of them for "all"; also a failed row for each one that is unusable."""
     from gpusim.backends import open_device
     from gpusim.backends.probe import devices
 
     if name != "all":
-        return [open_device(name)]
-    return [open_device(entry["name"]) for entry in devices() if not entry["error"] and entry["name"] != "numpy"]
+        return [open_device(name)], []
+    entries = [entry for entry in devices() if entry["name"] != "numpy"]
+    broken = [{"stage": "(open)", "device": entry["name"], "case": "(failed to open)", "max_error": float("inf"),
+               "tolerance": 0.0, "ok": False, "why": entry["error"]} for entry in entries if entry["error"]]
+    return [open_device(entry["name"]) for entry in entries if not entry["error"]], broken
 
 
 def _stages(names):

@@ -1,6 +1,5 @@
 """What a frame cost, what was modelled, and the error it carries."""
 
-import json
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -93,12 +92,9 @@ class Report:
             error = self.error
             lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
                          f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma")
-        if self.meets_tolerance is not None:
-            lines.append(f"  tolerance: {'met' if self.meets_tolerance else 'NOT met'}")
+        if self.tolerance is not None:
+            verdict = {True: "met", False: "NOT met", None: "not checked (verify measures the true error)"}
+            lines.append(f"  tolerance: {verdict[self.meets_tolerance]}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
-
-    def to_json(self) -> str:
-        """`as_dict` as text."""
-        return json.dumps(self.as_dict(), indent=2)

@@ -74,19 +74,23 @@ class Simulator:
     """A camera on a device.
 
     camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
-    relative RMS error or a Tolerance; with `verify` the report says whether it is met.
+    relative RMS error or a Tolerance; with `verify` the report says whether it is met. reach: pixels of surroundings
+    on each side that take part in the blur.
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
-    def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None):
+    def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
+                 reach: int = BORDER_REACH):
         self.camera = camera
+        self.reach = reach
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
         sensor = camera.sensor
         if not (sensor.is_monochrome or sensor.bayer_phase):
-            raise UnknownName("mosaic", "/".join(sensor.cfa), ["RG/GB", "GR/BG", "GB/RG", "BG/GR", "one letter"])
+            raise UnknownName(f"sensor.cfa of camera {camera.name!r}", "/".join(sensor.cfa),
+                              ["RG/GB", "GR/BG", "GB/RG", "BG/GR", "one letter"])
         self._tables: tuple = ()  # (key, transfer tables on the device) of the last plan
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
@@ -105,7 +109,9 @@ class Simulator:
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
         error = None
         if verify:
-            reference = Simulator(self.camera, device="numpy").expose(scene, exposure.exposure_time)
+            # surroundings as large as the frame: the border's error is part of the true error, and no light wraps
+            reference = Simulator(self.camera, device="numpy", reach=max(scene.shape)).expose(
+                scene, exposure.exposure_time)
             error = Error.between(mean, reference.mean, self.camera.sensor.read_noise)
         for number in range(first, first + count):
             with self.device.timed() as ms:
@@ -117,11 +123,11 @@ class Simulator:
 
     def plan(self, scene: Scene) -> Plan:
         """What a frame of `scene` takes. Raises BadData, DoesNotFit."""
-        longest = max(scene.shape) + 2 * (BORDER_REACH + scene.margin)
-        if longest > LENGTHS[-1]:
-            raise OutOfRange("scene size", "x".join(map(str, scene.shape[::-1])),
-                             f"up to {LENGTHS[-1] - 2 * (BORDER_REACH + scene.margin)} pixels each way")
-        made = plan(scene, self.camera, fft_length)
+        most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
+            LENGTHS[-1] - 2 * (self.reach + scene.margin))
+        if max(scene.shape) > most:
+            raise OutOfRange("scene size", "x".join(map(str, scene.shape[::-1])), f"up to {most} pixels each way")
+        made = plan(scene, self.camera, fft_length, self.reach)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:
@@ -200,7 +206,7 @@ class Simulator:
                made.table_spectra.tobytes() if made.table_spectra is not None else None)
         if self._tables and self._tables[0] == key:
             return self._tables[1]
-        aperture = np.sqrt(self.camera.sensor.fill_factor)
+        aperture = self.camera.sensor.aperture / self.camera.sensor.pixel_pitch
         bands = airy(device.array(made.q), aperture, *made.period, device=device)
         if made.table_spectra is None:
             tables = device.reshape(bands, (1, *bands.shape))

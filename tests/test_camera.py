@@ -156,7 +156,7 @@ def test_quantum_efficiency_is_a_fraction(value):
 # ------------------------------------------------------------------------------ processor, display, camera, tolerance
 
 
-@pytest.mark.parametrize("key", ["demosaic", "white_balance", "color", "exposure"])
+@pytest.mark.parametrize("key", ["demosaic", "white_balance", "color"])
 def test_processor_names(key):
     with pytest.raises(UnknownName, match=f"processor.{key}"):
         Processor(**{key: "best"})
@@ -181,7 +181,7 @@ def test_display_agrees_with_colour_science():
 
 
 @pytest.mark.parametrize(("changes", "error"), [
-    ({"encoding": "gamma"}, UnknownName), ({"white": (0.3, 0.3, 0.4)}, BadData), ({"white": (0.9, 0.3)}, OutOfRange),
+    ({"white": (0.3, 0.3, 0.4)}, BadData), ({"white": (0.9, 0.3)}, OutOfRange),
     ({"primaries": ((0.2, 0.2), (0.3, 0.3), (0.4, 0.4))}, BadData), ({"white": (0.3, 0.0)}, OutOfRange),
 ])
 def test_display_refuses(changes, error):
@@ -347,7 +347,6 @@ demosaic = "adaptive"
 white_balance = "none"
 color = "none"
 training = "munsell"
-exposure = "white"
 [display]
 name = "srgb"
 """))
@@ -359,7 +358,7 @@ name = "srgb"
         pixel_pitch=5e-6, qe=made.qe, full_well=20000.5, bits=14, cfa=("GB", "RG"), fill_factor=0.5, exposure_time=0.02,
         black_level=512, gain=0.25, read_noise=1.5, dark_current=0.1, prnu=0.01, dsnu=0.5, photon_noise=False,
         fixed_pattern_seed=7)
-    assert camera.processor == Processor("adaptive", "none", "none", "munsell", "white")
+    assert camera.processor == Processor("adaptive", "none", "none", "munsell")
 
 
 def test_generalised_sensor_multiplies_its_parts_where_all_are_known(tmp_path):

@@ -7,7 +7,7 @@ random numbers would fail it.
 import numpy as np
 import pytest
 from devices import DEVICES
-from scipy import stats  # noqa: TID253  tests are not imported by the package
+from scipy import stats
 from scipy.special import ndtr
 
 from gpusim.backends import open_device

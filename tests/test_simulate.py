@@ -3,10 +3,15 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
+import colour
 import numpy as np
 import pytest
+import rawpy
 from devices import ALL, DEVICES
+from scipy.interpolate import CubicSpline
 
 import gpusim
 from gpusim.cli import main
@@ -38,8 +43,6 @@ def test_mean_electrons_agree_with_the_reference(camera):
 
 def test_scene_forms_agree():
     """The same spectra as cube, basis and materials give the same electrons: three paths through the stages."""
-    from dataclasses import replace
-
     from gpusim.domain.scene import Basis, Cube
 
     scene = chart("colorchecker", size=(48, 32))
@@ -78,38 +81,70 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
         np.testing.assert_array_equal(raw, raws["numpy"])
 
 
-@pytest.mark.parametrize("light", ["D65", "A"])
-def test_colorchecker_colours(light):
-    """CIEDE2000 of the rendered patches against XYZ of the same reflectances in D65, the display's white.
+def patches_of(frame, size):
+    """Mean linear display RGB of the middle of every ColorChecker patch."""
+    for rows, cols in colorchecker_patches(size):
+        middle = [slice((3 * side.start + side.stop) // 4, (side.start + 3 * side.stop) // 4) for side in (rows, cols)]
+        yield middle, frame.linear[(slice(None), *middle)].mean(axis=(1, 2))
 
-    A 3x3 matrix cannot do better than a few units for this sensor (it is not a linear transform of the eye's): the
-    literature's good cameras have 2 to 3 on average; a wrong white, gamma or channel order gives more than 10.
+
+def clean(camera, **optics):
+    """The camera without noise."""
+    sensor = replace(camera.sensor, read_noise=0.0, prnu=0.0, dsnu=0.0, dark_current=0.0, photon_noise=False)
+    return replace(camera, sensor=sensor, optics=replace(camera.optics, **optics))
+
+
+@pytest.mark.parametrize("light", ["D65", "A", "FL11"])
+def test_patches_come_through_the_chain_as_the_matrix_says(light):
+    """Rendered patches equal the matrix times the electrons that the integrals predict, to the converter's rounding.
+
+    Without blur and fall-off a patch is flat: one DN of rounding is half of 1 / 959 in each channel, times the row sums
+    of the matrix.
     """
-    colour = pytest.importorskip("colour", reason="the judge of colours is colour-science")
+    size = (192, 128)  # the middle half of a patch is farther from its edge than demosaicking reaches
+    scene = chart("colorchecker", size=size, light=light)
+    camera = clean(open_camera("phone"), model="none", relative_illumination="none")
+    simulator = Simulator(camera, device="opencl")
+    frame = simulator(scene)
+    exposure = simulator.expose(scene)
+    nodes, qe = scene.wavelengths, camera.sensor.qe
+    fine = np.arange(400, 700.001, 0.01)
+    power = scene.illuminant.at(fine) * qe.at(fine)
+    gain = camera.sensor.gain_dn_per_electron / (camera.sensor.white_level - camera.sensor.black_level)
+    factor = camera.optics.irradiance_factor * camera.sensor.pixel_pitch**2 * exposure.exposure_time * gain
+    matrix = frame.rendering.display_from_camera
+    for middle, shown in patches_of(frame, size):
+        reflectance = CubicSpline(nodes, scene.content.spectra[scene.content.ids[tuple(middle)][0, 0]])(fine)
+        values = factor * np.trapezoid(power * reflectance, fine, axis=1)
+        assert np.abs(shown - matrix @ values).max() <= 0.5 / 959 * np.abs(matrix).sum(axis=1).max() * 1.01
+
+
+@pytest.mark.parametrize(("light", "most"), [("D65", 2.2), ("A", 3.8)])
+def test_colorchecker_colours(light, most):
+    """CIEDE2000 of the rendered patches against colour-science's XYZ of the same reflectances in D65.
+
+    What remains is the sensor's: a 3x3 matrix cannot make it colorimetric. 2.1 (D65) and 3.6 (A) were measured; the
+    bound leaves a tenth for another rounding of noise-free values, far below the 10 and more of a wrong white, gamma
+    or order of channels. That the chain adds nothing is tested above.
+    """
     size = (192, 128)
     scene = chart("colorchecker", size=size, light=light)
-    from dataclasses import replace
-
-    camera = open_camera("phone")
-    clean = replace(camera, sensor=replace(camera.sensor, read_noise=0.0, prnu=0.0, dsnu=0.0, photon_noise=False))
-    frame = Simulator(clean, device="opencl")(scene)
-    spectra = scene.content.spectra
-    truth, shown = [], []
+    frame = Simulator(clean(open_camera("phone")), device="opencl")(scene)
+    shape = colour.SpectralShape(400, 700, 10)
+    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
+    d65 = colour.SDS_ILLUMINANTS["D65"].copy().align(shape)
     to_xyz = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ
-    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(400, 700, 10))
-    d65 = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(400, 700, 10))
-    for rows, cols in colorchecker_patches(size):
-        inner = slice((3 * rows.start + rows.stop) // 4, (rows.start + 3 * rows.stop) // 4), \
-            slice((3 * cols.start + cols.stop) // 4, (cols.start + 3 * cols.stop) // 4)
-        material = scene.content.ids[inner][0, 0]
-        reflectance = colour.SpectralDistribution(spectra[material], scene.wavelengths)
+    truth, shown = [], []
+    for middle, rgb in patches_of(frame, size):
+        spectrum = scene.content.spectra[scene.content.ids[tuple(middle)][0, 0]]
+        reflectance = colour.SpectralDistribution(spectrum, scene.wavelengths)
         truth.append(colour.sd_to_XYZ(reflectance, cmfs, d65, method="Integration") / 100)
-        shown.append(to_xyz @ frame.linear[(slice(None), *inner)].mean(axis=(1, 2)))
+        shown.append(to_xyz @ rgb)
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     errors = colour.delta_E(colour.XYZ_to_Lab(np.array(shown), white), colour.XYZ_to_Lab(np.array(truth), white),
                             method="CIE 2000")
     print(f"ColorChecker in {light}: mean CIEDE2000 {errors.mean():.2f}, maximum {errors.max():.2f}")
-    assert errors.mean() < 4 and errors.max() < 12
+    assert errors.mean() < most
 
 
 def test_frames_differ_in_noise_alone_and_can_be_drawn_in_any_order():
@@ -131,8 +166,6 @@ def test_automatic_exposure_reaches_95_percent_of_the_well():
 
 def test_surroundings_take_part_in_the_blur_but_not_in_the_frame():
     """A wider scene with border "scene" gives the same centre as the whole of it, far from the edges of both."""
-    from dataclasses import replace
-
     whole = chart("deadleaves", size=(240, 200))
     inner = replace(whole, border="scene", margin=60)
     simulator = Simulator(open_camera("phone"), device="numpy")
@@ -146,7 +179,6 @@ def test_surroundings_take_part_in_the_blur_but_not_in_the_frame():
 
 
 def test_simulate_writes_every_format(tmp_path, capsys):
-    rawpy = pytest.importorskip("rawpy", reason="the judge of DNG files is LibRaw")
     outs = [tmp_path / f"a{suffix}" for suffix in (".png", ".dng", ".npz", ".exr")]
     report = tmp_path / "a.json"
     status, out, _ = run(capsys, "simulate", "colorchecker", "--camera", "phone", "--size", "97x65", "--device",
@@ -162,7 +194,9 @@ def test_simulate_writes_every_format(tmp_path, capsys):
     facts = json.loads(report.read_text())
     assert {stage["stage"] for stage in facts["stages"]} >= {"optics.blur", "sensor.noise", "display.srgb"}
     assert all(stage["ms"] > 0 for stage in facts["stages"])
-    assert facts["error"]["rms"] < 1e-6 and facts["meets_tolerance"] is True  # float32 transforms: 2.5e-7
+    # no more than the energy that comes from beyond the surroundings, times the scene's contrast, which is below 1
+    assert facts["error"]["rms"] < facts["predicted"]["kernel energy beyond the surroundings"]
+    assert facts["meets_tolerance"] is True
     from PIL import Image
 
     assert Image.open(outs[0]).size == (97, 65)
@@ -210,25 +244,95 @@ BAD = [
     (["flat", "--band", "red"], "--band"),
     (["flat", "--frames", "0"], "--frames: '0': wanted a whole number"),
     (["flat", "--colour"], "unrecognized arguments: --colour"),
+    (["flat", "--luminance", "1e300"], "luminance"),
+    (["flat", "-o", "."], "unknown output format"),
+    (["flat", "--report", "no/such/r.json"], "does not exist"),
+    (["flat", "--camera", "xtrans.toml"], "sensor.cfa of camera 'xtrans'"),
+    (["flat", "--camera", "coarse.toml"], "f-number / pixel pitch"),
+    (["flat", "--camera", "plain.toml", "-o", "a.dng"], "the colour matrix"),
+    (["light0.npz"], "allowed are 10 .."),
+    (["negative.npz"], "radiance cannot be negative"),
+    (["margin.npz"], "scene.margin = -5"),
+    (["huge.npz"], "more than float32 holds"),
+    (["elsewhere.npz"], "no overlap"),
 ]
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD)
 def test_bad_input_is_one_line_and_status_2(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    make_bad_files()
+    there = set(tmp_path.iterdir())
     camera = [] if "--camera" in arguments else ["--camera", "phone"]
     device = [] if "--device" in arguments else ["--device", "opencl"]
     status, out, err = run(capsys, "simulate", *arguments, *camera, *device)
     assert (status, out) == (2, "")
     assert words in err and err.count("\n") == 1 and "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []  # nothing half-written
+    assert set(tmp_path.iterdir()) == there  # nothing half-written
 
 
-def test_existing_output_survives_a_failure(tmp_path, capsys):
+def make_bad_files():
+    """Files that are well-formed and wrong, in the current folder."""
+    toml = "[optics]\nf_number = {n}\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = {pitch}\nfull_well_e = 6000\n" \
+        "bits = 10\nqe = 'mt9v024'\ncfa = {cfa}\n[processor]\ncolor = '{color}'\n"
+    Path("xtrans.toml").write_text(toml.format(n=2, pitch=1.4, cfa=["RGB", "GBR"], color="matrix"))
+    Path("coarse.toml").write_text(toml.format(n=1, pitch=40, cfa=["RG", "GB"], color="matrix"))
+    Path("plain.toml").write_text(toml.format(n=2, pitch=1.4, cfa=["RG", "GB"], color="none"))
+    nodes, cube = np.array([400.0, 500.0, 600.0, 700.0]), np.ones((4, 6, 8), np.float32)
+    np.savez("light0.npz", cube=cube, wavelengths_nm=[0.0, 500, 600, 700])
+    np.savez("negative.npz", coefficients=-cube[:2], basis=np.ones((2, 4)), wavelengths_nm=nodes)
+    np.savez("margin.npz", cube=cube, wavelengths_nm=nodes, margin=-5)
+    np.savez("huge.npz", cube=np.full((4, 6, 8), 1e300), wavelengths_nm=nodes)
+    np.savez("elsewhere.npz", cube=cube, wavelengths_nm=nodes + 1000)
+
+
+def test_existing_output_survives_a_failure(tmp_path, capsys, monkeypatch):
+    """The writer breaks off in the middle of the file."""
+    from PIL import Image
+
+    def broken(self, path, **options):
+        Path(path).write_bytes(b"half a pic")
+        raise OSError("disk full")
+
     target = tmp_path / "a.png"
     target.write_bytes(b"precious")
-    status, _, _ = run(capsys, "simulate", tmp_path / "missing.npz", "--camera", "phone", "-o", target)
-    assert status == 2 and target.read_bytes() == b"precious"
+    monkeypatch.setattr(Image.Image, "save", broken)
+    status, _, err = run(capsys, "simulate", "flat", "--camera", "phone", "--size", "8x8", "--device", "numpy", "-o",
+                         target)
+    assert status == 2 and "disk full" in err
+    assert target.read_bytes() == b"precious" and list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(("chart_name", "border"), [("points", "zero"), ("deadleaves", "edge")])
+def test_true_error_includes_the_border(chart_name, border):
+    """The error that `verify` reports is that against surroundings ten times the frame, not against the same plan."""
+    scene = chart(chart_name, size=(48, 40))
+    assert scene.border == border
+    camera = open_camera("machine-vision")
+    camera = replace(camera, optics=replace(camera.optics, f_number=16.0))
+    frame = Simulator(camera, device="opencl", reach=8)(scene, verify=True)
+    far = Simulator(camera, device="numpy", reach=500).expose(scene, frame.report.camera["exposure_time_s"])
+    true = np.sqrt(np.mean((frame.mean - far.mean) ** 2)) / np.sqrt(np.mean(far.mean**2))
+    # the reference's own surroundings of one frame width leave a small part of the error unseen
+    assert true / 2 < frame.report.error.rms < 2 * true
+    assert border == "zero" or true > 1e-5  # far above float32's rounding: it is the border that is seen
+
+
+def test_verify_fails_for_a_device_that_cannot_be_opened(capsys, monkeypatch):
+    from gpusim.backends import probe
+
+    broken = probe.EMPTY | {"name": "opencl:7", "error": "its driver ended the process"}
+    monkeypatch.setattr(probe, "devices", lambda refresh=False: [broken])
+    status, out, _ = run(capsys, "verify", "--stage", "processor.linear")
+    assert status == 1 and "opencl:7" in out and "its driver ended the process" in out
+    monkeypatch.setattr(probe, "devices", lambda refresh=False: [])
+    assert run(capsys, "verify", "--stage", "processor.linear")[0] == 1
+
+
+@pytest.mark.parametrize("size", ["0x5", "9999999x9999999"])
+def test_bench_refuses_sizes_before_allocating(size, capsys):
+    status, _, err = run(capsys, "bench", "--device", "opencl", "--stage", "processor.linear", "--size", size)
+    assert status == 2 and err.count("\n") == 1
 
 
 def test_verify_command_counts_failures(tmp_path, capsys, monkeypatch):

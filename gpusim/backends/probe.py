@@ -21,6 +21,8 @@ from gpusim.domain.errors import DeviceError, GpusimError
 
 COPY_BYTES = 2**26  # larger than most last-level caches
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
+EMPTY = {"name": "", "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False, "gpu": False,
+         "memory": 0, "copy_gbps": 0.0, "error": ""}
 
 
 def best(backend: str = "auto") -> str:
@@ -51,10 +53,17 @@ def devices(refresh: bool = False) -> list[dict]:
     cache = _cache_path()
     if not refresh and cache.exists():
         try:
-            return json.loads(cache.read_text())
+            entries = json.loads(cache.read_text())
         except ValueError:  # left half-written by another program
-            pass
-    entries = [_try(name) for name in _names()]
+            entries = []
+        if entries:
+            return entries
+    names, failure = _names()
+    entries = [_try(name) for name in names]
+    if failure:
+        entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
+    if any(entry["error"] for entry in entries):
+        return entries  # what failed is tried again next time: a driver may have been mended, a machine less busy
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
         temporary = cache.with_suffix(f".{os.getpid()}")
@@ -80,14 +89,19 @@ def _cache_path():
 
 
 def _names():
-    """Names of all devices, asked for in a process of its own."""
-    result = _run("list")
-    return ["numpy", *json.loads(result.stdout.splitlines()[-1])] if result.returncode == 0 else ["numpy", "warp:cpu"]
+    """Names of all devices, asked for in a process of its own, and why OpenCL's could not be listed, if so."""
+    try:
+        result = _run("list")
+    except subprocess.TimeoutExpired:
+        return ["numpy", "warp:cpu"], f"listing its platforms took more than {TIME_LIMIT} s"
+    if result.returncode == 0:
+        return ["numpy", *json.loads(result.stdout.splitlines()[-1])], ""
+    last = (result.stderr.strip().splitlines() or ["no message"])[-1]
+    return ["numpy", "warp:cpu"], f"a driver ended the listing (status {result.returncode}): {last}"
 
 
 def _try(name):
-    entry = {"name": name, "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False,
-             "gpu": False, "memory": 0, "copy_gbps": 0.0, "error": ""}
+    entry = EMPTY | {"name": name}
     try:
         result = _run(name)
     except subprocess.TimeoutExpired:

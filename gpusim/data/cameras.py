@@ -121,7 +121,7 @@ _SENSOR = {
     "photon_noise": ("photon_noise", _yes_no),
     "fixed_pattern_seed": ("fixed_pattern_seed", _whole),
 }
-_PROCESSOR = {key: (key, _text) for key in ("demosaic", "white_balance", "color", "training", "exposure")}
+_PROCESSOR = {key: (key, _text) for key in ("demosaic", "white_balance", "color", "training")}
 _DISPLAY = {"name": ("name", _text)}
 _SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "processor": _PROCESSOR, "display": _DISPLAY}
 

@@ -32,8 +32,7 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
     for option in options:
         if option not in known:
             raise UnknownName(f"option of chart {name!r}", option, known)
-    cols, rows = _checked_size(size)
-    require_memory(f"chart {name!r} of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
+    cols, rows = checked_size(size)
     ids, shading, materials, border = draw(cols, rows, **options)
     wavelengths = WAVELENGTHS if wavelengths is None else np.asarray(wavelengths, np.float64)
     content = Materials(wavelengths, ids, shading, materials.at(wavelengths, outside=None))
@@ -46,7 +45,7 @@ def colorchecker_patches(size) -> list[tuple[slice, slice]]:
 
     size: columns and rows of the chart. Raises OutOfRange below 24 x 16 pixels.
     """
-    cols, rows = _checked_size(size)
+    cols, rows = checked_size(size)
     if cols < 24 or rows < 16:
         raise OutOfRange("size of chart 'colorchecker'", f"{cols} x {rows}", "at least 24 x 16 pixels")
     patch, gap, _ = _colorchecker_measures(cols, rows)
@@ -208,10 +207,12 @@ def _require(key, value, allowed, text):
         raise OutOfRange(key, value, text)
 
 
-def _checked_size(size):
+def checked_size(size) -> tuple[int, int]:
+    """Columns and rows as whole numbers; raises OutOfRange below 1, and DoesNotFit for what no memory holds."""
     cols, rows = size
     if not all(isinstance(n, int | np.integer) and n >= 1 for n in (cols, rows)):
         raise OutOfRange("size", f"{cols} x {rows}", "at least 1 x 1, whole pixels (columns x rows)")
+    require_memory(f"an image of {cols} x {rows} pixels", BYTES_PER_PIXEL * int(cols) * int(rows))
     return int(cols), int(rows)
 
 

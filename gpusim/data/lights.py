@@ -8,6 +8,7 @@ from gpusim.data.colorimetry import tables, xyz
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.spectrum import BOLTZMANN, LIGHT_SPEED, PLANCK, Spectrum, photons_from_energy
 
+BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
 TEMPERATURE = re.compile(r"(daylight|blackbody)-(\d+(?:\.\d+)?)k")
 
 
@@ -79,8 +80,8 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
 
     light: relative power in energy units. Raises OutOfRange for luminance <= 0 and for a light without visible power.
     """
-    if not 0 < luminance < np.inf:
-        raise OutOfRange("luminance", f"{luminance:g} cd m-2", "0 < luminance")
+    if not 0 < luminance <= BRIGHTEST:
+        raise OutOfRange("luminance", f"{luminance:g} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2")
     brightness = xyz(light)[1]
     if not brightness > 0:
         raise OutOfRange(f"luminous power of {light.name or 'the light'}", f"{brightness:g}", "> 0 in 360 .. 830 nm")

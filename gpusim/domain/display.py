@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-
-ENCODINGS = ("srgb", "linear")
+from gpusim.domain.errors import BadData, OutOfRange
 
 
 @dataclass(frozen=True)
@@ -14,18 +12,14 @@ class Display:
     """A three-colour additive display; sRGB (IEC 61966-2-1) unless told otherwise.
 
     primaries: CIE 1931 (x, y) of red, green and blue; white: (x, y) of full red + green + blue.
-    encoding: from linear light to the stored value, "srgb" or "linear".
-    Raises BadData, OutOfRange, UnknownName.
+    Raises BadData, OutOfRange.
     """
 
     name: str = "srgb"
     primaries: tuple = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
     white: tuple = (0.3127, 0.3290)
-    encoding: str = "srgb"
 
     def __post_init__(self):
-        if self.encoding not in ENCODINGS:
-            raise UnknownName("display.encoding", self.encoding, ENCODINGS)
         if np.shape(self.primaries) != (3, 2) or np.shape(self.white) != (2,):
             raise BadData("display: wanted (x, y) of three primaries and of the white")
         for x, y in (*self.primaries, self.white):

@@ -7,7 +7,6 @@ from gpusim.domain.errors import UnknownName
 DEMOSAICS = ("bilinear", "adaptive")
 WHITE_BALANCES = ("illuminant", "none")
 COLORS = ("matrix", "none")
-EXPOSURES = ("white",)
 
 
 @dataclass(frozen=True)
@@ -19,7 +18,7 @@ class Processor:
     color: "matrix" (least-squares 3 x C transform to CIE XYZ, trained on reflectances under the scene's light) or
         "none" (channels go to the display as they are).
     training: name of the reflectance set that the matrix is trained on.
-    exposure: "white": a perfect diffuser in the scene's light renders as display white.
+    In either case a perfect diffuser in the scene's light renders as display white.
     Raises UnknownName.
     """
 
@@ -27,10 +26,8 @@ class Processor:
     white_balance: str = "illuminant"
     color: str = "matrix"
     training: str = "objects"
-    exposure: str = "white"
 
     def __post_init__(self):
-        for key, known in (("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES), ("color", COLORS),
-                           ("exposure", EXPOSURES)):
+        for key, known in (("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES), ("color", COLORS)):
             if getattr(self, key) not in known:
                 raise UnknownName(f"processor.{key}", getattr(self, key), known)

@@ -8,6 +8,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum
 
 BORDERS = ("zero", "edge", "reflect", "scene")
+NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Scene:
             raise UnknownName("border", self.border, BORDERS)
         if self.fov is not None and not 0 < self.fov < np.pi:
             raise OutOfRange("scene.fov", f"{self.fov:.4g} rad", "0 < fov < pi rad")
-        if (self.margin > 0) != (self.border == "scene"):
+        if self.margin < 0 or (self.margin > 0) != (self.border == "scene"):
             raise OutOfRange("scene.margin", self.margin, 'margin >= 1 with border = "scene", 0 otherwise')
         rows, cols = self.shape
         if rows < 1 or cols < 1:
@@ -141,5 +142,13 @@ def _check_content(content, name):
         low, high = float(values.min()), float(values.max())
         if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
             raise BadData(f"{name}: NaN or infinite {label}")
-        if low < 0 and not isinstance(content, Basis):  # basis coefficients may be negative, their sum may not
+        if low < 0 and not isinstance(content, Basis):
             raise BadData(f"{name}: negative {label} (lowest {low:.3g}); radiance cannot be negative")
+    if isinstance(content, Basis):  # coefficients may be negative, the spectra that they make may not
+        lowest, highest = 0.0, 0.0
+        for row in np.moveaxis(content.coefficients, 1, 0):  # row by row: the whole would be a cube
+            spectra = content.basis.T @ row
+            lowest, highest = min(lowest, float(spectra.min())), max(highest, float(spectra.max()))
+        if lowest < -NEGATIVE * highest or highest == 0 > lowest:
+            raise BadData(f"{name}: negative spectra (lowest {lowest:.3g}, highest {highest:.3g}); radiance cannot be "
+                          "negative")

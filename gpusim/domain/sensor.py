@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import Spectrum
 
+HUGE = 1e12  # more than any electrons, seconds or gain; squares of it are far from float32's limit
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
 
 
@@ -64,23 +65,23 @@ class Sensor:
                 raise OutOfRange(f"sensor.{key}", f"{shown} {unit}".rstrip(), allowed)
 
         def positive(value):
-            return 0 < value < np.inf
+            return 0 < value <= HUGE
 
         def non_negative(value):
-            return 0 <= value < np.inf
+            return 0 <= value <= HUGE
 
         check("pixel_pitch", "0 < pixel_pitch <= 0.001 m", lambda value: 0 < value <= 1e-3, "m")
         check("fill_factor", "0 < fill_factor <= 1", lambda value: 0 < value <= 1)
-        check("exposure_time", "0 < exposure_time < inf, or automatic", positive, "s")
-        check("full_well", "0 < full_well < inf", positive, "e-")
+        check("exposure_time", "0 < exposure_time <= 1e12, or automatic", positive, "s")
+        check("full_well", "0 < full_well <= 1e12", positive, "e-")
         check("bits", "a whole number, 1 <= bits <= 16", lambda value: value in range(1, 17))
         check("black_level", f"a whole number, 0 <= black_level < {self.white_level} (the white level)",
               lambda value: value in range(self.white_level), "DN")
-        check("gain", "0 < gain < inf, or automatic", positive, "DN/e-")
-        check("read_noise", "0 <= read_noise < inf", non_negative, "e-")
-        check("dark_current", "0 <= dark_current < inf", non_negative, "e-/s")
+        check("gain", "0 < gain <= 1e12, or automatic", positive, "DN/e-")
+        check("read_noise", "0 <= read_noise <= 1e12", non_negative, "e-")
+        check("dark_current", "0 <= dark_current <= 1e12", non_negative, "e-/s")
         check("prnu", "0 <= prnu < 1", lambda value: 0 <= value < 1)
-        check("dsnu", "0 <= dsnu < inf", non_negative, "e-")
+        check("dsnu", "0 <= dsnu <= 1e12", non_negative, "e-")
         check("fixed_pattern_seed", "a whole number, 0 <= fixed_pattern_seed < 2**64",
               lambda value: value in range(2**64))
 

@@ -9,6 +9,7 @@ from gpusim.domain.errors import BadData
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
 LIGHT_SPEED = 299792458.0  # [m s-1], exact
 BOLTZMANN = 1.380649e-23  # [J K-1], exact (SI 2019)
+SHORTEST, LONGEST = 10.0, 1e5  # [nm] what is light here: extreme ultraviolet to far infrared
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,7 @@ class Spectrum:
 
     wavelengths: [nm], strictly increasing, shape (L,), L >= 2.
     values: shape (L,) for one function, (N, L) for N of them; the unit is the user's.
-    Raises BadData for unsorted wavelengths, wrong shapes, NaN or infinities.
+    Raises BadData for unsorted wavelengths or such as are not light, wrong shapes, NaN or infinities.
     """
 
     wavelengths: np.ndarray
@@ -34,6 +35,9 @@ class Spectrum:
             raise BadData(f"{label}: values of shape {values.shape} do not match {len(wavelengths)} wavelengths")
         if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
             raise BadData(f"{label}: NaN or infinite entries")
+        if not (wavelengths[0] >= SHORTEST and wavelengths[-1] <= LONGEST):
+            raise BadData(f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
+                          f"{SHORTEST:g} .. {LONGEST:g} nm")
         if not (np.diff(wavelengths) > 0).all():
             raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
         object.__setattr__(self, "wavelengths", wavelengths)

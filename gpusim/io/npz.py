@@ -101,11 +101,18 @@ class _Archive:
     def planes(self, key, *shape, pixel_major=False, negative=False):
         """Return an image stack under `key` as float32, band-major."""
         array = self.array(key, *shape, negative=negative)
+        if float(np.abs(array).max()) > np.finfo(np.float32).max:
+            raise BadFile(self.path, f"{key}: values up to {float(np.abs(array).max()):.3g}, more than float32 holds")
         return np.ascontiguousarray(np.moveaxis(array, -1, 0) if pixel_major else array, np.float32)
 
     def single(self, key, default):
         """Return one value under `key`, of the type of `default`."""
-        return type(default)(self.stored[key].item()) if key in self.stored else default
+        if key not in self.stored:
+            return default
+        try:
+            return type(default)(self.stored[key].item())
+        except ValueError:
+            raise BadFile(self.path, f"{key}: wanted one {type(default).__name__}, got {self.stored[key]!r}") from None
 
     def scene(self, white):
         """Return what the archive holds as a scene."""

@@ -7,13 +7,13 @@ import numpy as np
 from scipy.special import j0, j1
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Basis, Cube, Materials, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.planner.weights import product_weights
 
-BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur
-DEMOSAIC_FOR = {"bilinear": "processor.bilinear", "adaptive": "processor.adaptive"}
+BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance asks for more
+SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,13 @@ class Plan:
     predicted: dict = field(default_factory=dict)
 
 
-def plan(scene: Scene, camera: Camera, fft_length) -> Plan:
-    """Decide how `scene` is seen by `camera`. Raises BadData when their wavelengths do not overlap.
+def plan(scene: Scene, camera: Camera, fft_length, reach: int = BORDER_REACH) -> Plan:
+    """Decide how `scene` is seen by `camera`.
 
-    fft_length: function that gives the next transform length of the kernels.
+    fft_length: function that gives the next transform length of the kernels. reach: pixels of surroundings on each side
+    that take part in the blur. A dark world (border "zero") gets at least half the frame, so that no light of the frame
+    comes back on its other side.
+    Raises BadData when their wavelengths do not overlap, OutOfRange when the pixels are far too coarse for the lens.
     """
     optics, sensor = camera.optics, camera.sensor
     nodes, content = scene.wavelengths, scene.content
@@ -73,7 +76,8 @@ def plan(scene: Scene, camera: Camera, fft_length) -> Plan:
 
     spectra = _entry_spectra(content)
     rows, cols = (n + 2 * scene.margin for n in scene.shape)
-    period = tuple(fft_length(n + 2 * BORDER_REACH) for n in (rows, cols))
+    reaches = [max(reach, -(-n // 2) if scene.border == "zero" else 0) for n in (rows, cols)]
+    period = tuple(fft_length(n + 2 * more) for n, more in zip((rows, cols), reaches, strict=True))
     models, left_out = {}, []
     stage = "spectral.materials" if isinstance(content, Materials) else "spectral.integrate"
     form = type(content).__name__.lower()
@@ -105,7 +109,13 @@ def plan(scene: Scene, camera: Camera, fft_length) -> Plan:
     models["sensor.expose"] = f"{'cos^4, ' if slope else ''}mosaic of {'/'.join(sensor.cfa)}"
     predicted = {}
     if gains is not None:
-        predicted["kernel energy beyond the surroundings"] = _energy_beyond(BORDER_REACH, q.max())
+        predicted["kernel energy beyond the surroundings"] = _energy_beyond(min(reaches), q.max())
+        if q.min() < SMALLEST_Q:
+            raise OutOfRange(f"{camera.name}: wavelength x f-number / pixel pitch", f"{q.min():.2g}",
+                             f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
+    unseen = sensor.qe.wavelengths[(sensor.qe.values > 0.01).any(axis=0)]
+    if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
+        left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     left_out += ["scene structure finer than a pixel: one scene sample per pixel", "distortion", "field-varying blur",
                  *(["depth: blur is the same at all distances"] if scene.depth is not None else [])]
     needed = _bytes(rows, cols, period, content, table, gains, table_spectra, len(nodes), len(weights))

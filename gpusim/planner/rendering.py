@@ -56,7 +56,8 @@ def rendering(plan: Plan, exposure_time: float) -> Rendering:
         matrix = np.ones((3, 1)) if channels == 1 else np.diag(1 / neutral)
         camera_from_xyz = None
         model = "grey" if channels == 1 else "channels to display primaries"
-    model += f", white balance for {light.name or 'the scene light'}" if len(neutral) > 1 else ""
+    if len(neutral) > 1:
+        model += f", white balance for {light.name or 'the scene light'}" if known else ", as if the light were D65"
     return Rendering(matrix / white, neutral * saturation, neutral, camera_from_xyz, model)
 
 

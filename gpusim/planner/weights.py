@@ -26,10 +26,11 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
         if factor.wavelengths[-1] <= nodes[0] or factor.wavelengths[0] >= nodes[-1]:
             raise BadData(f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
                           f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap")
-    count = max(2, int(np.ceil((nodes[-1] - nodes[0]) / STEP)) + 1)
-    tables = [factor.wavelengths for factor in factors]
-    grid = np.unique(np.concatenate([np.linspace(nodes[0], nodes[-1], count), nodes, *tables]))
-    grid = grid[(grid >= nodes[0]) & (grid <= nodes[-1])]
+    tables = [nodes, *(factor.wavelengths for factor in factors)]
+    low, high = max(table[0] for table in tables), min(table[-1] for table in tables)  # beyond, a factor is zero
+    count = max(2, int(np.ceil((high - low) / STEP)) + 1)
+    grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
+    grid = grid[(grid >= low) & (grid <= high)]
     cardinal = CubicSpline(nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural")
     product = np.ones(len(grid))
     for factor in factors:

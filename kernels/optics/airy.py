@@ -45,8 +45,9 @@ def cases():
     """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, a small fill factor."""
     why = ("a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
            "all; the replicas' weights sum to at most 2")
-    for q, aperture, rows, cols in (((0.05,), 1.0, 6, 9), ((0.25, 0.4), 1.0, 65, 64), ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), 1.0, 5, 3),
-                                    ((1.1,), 1.0, 1, 1), (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400)):
+    for q, aperture, rows, cols in (((0.05,), 1.0, 6, 9), ((0.25, 0.4), 1.0, 65, 64),
+                                    ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), 1.0, 5, 3), ((1.1,), 1.0, 1, 1),
+                                    (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400)):
         yield Case(f"q {q[0]:.2f} .. {q[-1]:.2f}, {rows}x{cols}",
                    {"q": np.array(q, np.float32), "aperture": aperture, "rows": rows, "cols": cols}, 1e-6, why)
 
