@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.opencl import cl_devices
+from gpusim.backends.warp import started_warp
 from gpusim.domain.errors import DeviceError, GpusimError
 
 COPY_BYTES = 2**26  # larger than most last-level caches
@@ -121,10 +122,7 @@ def _run(argument):
 def _list():
     names = [f"opencl:{number}" for number in range(len(cl_devices()))] + ["warp:cpu"]
     try:
-        import warp as wp
-
-        wp.config.log_level = wp.LOG_ERROR
-        wp.init()
+        wp = started_warp()
         names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
     except Exception:  # its own entry, warp:cpu, will say why
         pass

@@ -1,5 +1,7 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
+import os
+import sys
 import time
 from importlib import import_module
 from importlib.util import find_spec
@@ -10,6 +12,23 @@ from gpusim.backends.device import Device
 from gpusim.domain.errors import DeviceError
 
 
+def started_warp():
+    """Warp, initialised without a word: it has a native warning, on machines without CUDA, that no log level stops."""
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+    return wp
+
+
 class WarpDevice(Device):
     """One Warp device: `cpu` or `cuda:N`."""
 
@@ -17,10 +36,7 @@ class WarpDevice(Device):
 
     def __init__(self, alias: str, name: str):
         super().__init__()
-        import warp as wp
-
-        wp.config.log_level = wp.LOG_ERROR
-        wp.init()
+        wp = started_warp()
         try:
             self.wp_device = wp.get_device(alias)
         except Exception as error:  # Warp raises ValueError or RuntimeError by version
