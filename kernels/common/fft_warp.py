@@ -24,14 +24,7 @@ def stockham(
     radix: int,
     done: int,
     length: int,
-    step: int,
-    line_step: int,
     axis: int,
-    # sizes:
-    planes: int,
-    size_y: int,
-    size_x: int,
-    plane_size: int,
 ):
     plane, y, x = wp.tid()
     i = x
