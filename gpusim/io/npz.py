@@ -101,7 +101,7 @@ class _Archive:
     def planes(self, key, *shape, pixel_major=False, negative=False):
         """Return an image stack under `key` as float32, band-major."""
         array = self.array(key, *shape, negative=negative)
-        if float(np.abs(array).max()) > np.finfo(np.float32).max:
+        if float(np.abs(array).max()) > float(np.finfo(np.float32).max):
             raise BadFile(self.path, f"{key}: values up to {float(np.abs(array).max()):.3g}, more than float32 holds")
         return np.ascontiguousarray(np.moveaxis(array, -1, 0) if pixel_major else array, np.float32)
 

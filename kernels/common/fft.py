@@ -88,7 +88,8 @@ def _rows(device, kernel, source, target, sign, parameters, rows, pitch, length)
 
 def _columns(device, spectra, sign):
     count, length, pitch, _ = spectra.shape
-    lines = max(1, min(4, LOCAL_BYTES // (8 * (length + length // 16 + 1))))  # four columns of 8 bytes fill a memory sector
+    # four columns of 8 bytes fill a memory sector
+    lines = max(1, min(4, LOCAL_BYTES // (8 * (length + length // 16 + 1))))
     device.launch("common.fft", "columns", (count, -(-pitch // lines) * THREADS), spectra,
                   _roots(device, length, sign), pitch, pitch, group=(1, THREADS), defines=_defines(length, lines, sign))
 
