@@ -73,6 +73,15 @@ def test_import_is_light():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
+def test_devices_are_found_from_any_folder(tmp_path):
+    """A folder with another `gpusim` in it, as the source tree is for an installed package, does not stop the probe."""
+    (tmp_path / "gpusim").mkdir()
+    (tmp_path / "gpusim" / "__init__.py").write_text("raise ImportError('the wrong gpusim')\n")
+    code = "from gpusim.backends.probe import _names; print(_names())"
+    result = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert "warp:cpu" in result.stdout and result.stdout.strip().endswith("'')"), result.stdout + result.stderr
+
+
 def test_public_names_exist():
     import gpusim
 

@@ -115,8 +115,9 @@ def _try(name):
 
 
 def _run(argument):
-    return subprocess.run([sys.executable, "-m", "gpusim.backends.probe", argument], capture_output=True, text=True,
-                          timeout=TIME_LIMIT, check=False)
+    # -P: in the source folder Python would import ./gpusim, which has no kernels, and not the installed package
+    return subprocess.run([sys.executable, "-P", "-m", "gpusim.backends.probe", argument], capture_output=True,
+                          text=True, timeout=TIME_LIMIT, check=False)
 
 
 def _list():
