@@ -13,10 +13,13 @@ from gpusim.domain.exposure import auto_exposure, exposure_value
 from gpusim.domain.scene import Cube, Materials, Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.frames import write_frame
-from gpusim.kernels.common.fft import LENGTHS, fft_length
+from gpusim.kernels.common.fft import LENGTHS
 from gpusim.kernels.display.srgb import srgb
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.mosaic import mosaic, transform_lengths
+from gpusim.kernels.optics.pupil import pupil
+from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.color import color
@@ -25,6 +28,7 @@ from gpusim.kernels.sensor.expose import expose
 from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
+from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.rendering import Rendering, rendering
 from gpusim.report import Error, Report, StageReport
@@ -74,14 +78,17 @@ class Simulator:
     """A camera on a device.
 
     camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
-    relative RMS error or a Tolerance; with `verify` the report says whether it is met. reach: pixels of surroundings
-    on each side that take part in the blur.
+    relative RMS error or a Tolerance: wavelengths are fused into the fewest planes that are predicted to meet it, and
+    with `verify` the report says whether it is met; without one every wavelength is exact. guaranteed: predict for the
+    worst spectrum there can be, a monochromatic point, and not for the scene's own. reach: pixels of surroundings on
+    each side that take part in the blur.
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 reach: int = BORDER_REACH):
+                 guaranteed: bool = False, reach: int = BORDER_REACH):
         self.camera = camera
+        self.guaranteed = guaranteed
         self.reach = reach
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
@@ -91,7 +98,7 @@ class Simulator:
         if not (sensor.is_monochrome or sensor.bayer_phase):
             raise UnknownName(f"sensor.cfa of camera {camera.name!r}", "/".join(sensor.cfa),
                               ["RG/GB", "GR/BG", "GB/RG", "BG/GR", "one letter"])
-        self._tables: tuple = ()  # (key, transfer tables on the device) of the last plan
+        self._kept: dict = {}  # what -> (key, value): tables of the last plan, for the next frame of the same kind
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
         """One frame of `scene`; see `frames`."""
@@ -127,7 +134,8 @@ class Simulator:
             LENGTHS[-1] - 2 * (self.reach + scene.margin))
         if max(scene.shape) > most:
             raise OutOfRange("scene size", "x".join(map(str, scene.shape[::-1])), f"up to {most} pixels each way")
-        made = plan(scene, self.camera, fft_length, self.reach)
+        made = plan(scene, self.camera, transform_lengths, self._sampled_tables, self.tolerance, self.guaranteed,
+                    self.reach)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:
@@ -178,14 +186,50 @@ class Simulator:
         return shown, srgb(shown, device=self.device)
 
     def _rates(self, made: Plan):
-        """Electrons per second of every channel at every pixel, (C, rows, cols)."""
-        device, content, margin = self.device, made.scene.content, made.scene.margin
+        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
+        device, content, margin = self.device, made.content, made.scene.margin
+        cfa = self.camera.sensor.cfa_indices
         inner = slice(margin, -margin or None)
         if made.gains is None:  # no blur: nothing outside the frame is needed
-            return self._planes(content, made.table, (inner, inner))
+            return self._planes(content, made.table, (inner, inner)), cfa
         planes = self._planes(content, made.table, (slice(None), slice(None)))
         border = "edge" if made.scene.border == "scene" else made.scene.border
-        return blur(planes, self._transfer(made), made.gains, border, made.period, margin=margin, device=device)
+        if made.folded:
+            rates = mosaic(planes, self._transfer(made), made.gains, cfa, border, made.period, margin=margin,
+                           device=device)
+        else:
+            rates = blur(planes, self._transfer(made), made.gains, border, made.period, margin=margin, device=device)
+            if made.highlights is None:
+                return rates, cfa
+            rates = expose(rates, cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+        if made.highlights is not None:
+            rates = self._with_highlights(made, rates, cfa)
+        return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
+
+    def _with_highlights(self, made: Plan, rates, cfa):
+        """The mosaic with the plan's highlights added."""
+        lights, device = made.highlights, self.device
+        assert lights is not None
+        reach = int(lights.reach.max())
+        kernels = self._keep("points", (made.q.tobytes(), reach), lambda: point_kernels(
+            made.q, np.sqrt(self.camera.sensor.fill_factor), reach))
+        weights = lights.spectra[:, None] * made.weights  # (kernels, channels, L)
+        places = np.column_stack([lights.places, lights.light, lights.reach])
+        return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
+                     device.array(lights.strength), device.array(np.tensordot(weights, kernels.cores, 1)),
+                     device.array(np.tensordot(weights, kernels.profiles, 1)), kernels.step, kernels.parts,
+                     kernels.spread, device=device)
+
+    def _keep(self, what, key, make):
+        """What `make` gave for `key` the last time, or gives now; one value of each kind is kept."""
+        if self._kept.get(what, (None,))[0] != key:
+            self._kept[what] = (key, make())
+        return self._kept[what][1]
+
+    def _sampled_tables(self, q, aperture, rows, cols):
+        """Transfer tables for the planner, float64."""
+        return self._keep("sampled", (q.tobytes(), aperture, rows, cols),
+                          lambda: self._bands(q, rows, cols, open_device("numpy")))
 
     def _planes(self, content, table, window):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
@@ -199,27 +243,34 @@ class Simulator:
 
     def _transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
-        device = self.device
         assert made.gains is not None  # a plan with blur
         key = (made.q.tobytes(), made.period, made.gains.shape,
-               made.weights.tobytes() if made.table_spectra is not None else None,
-               made.table_spectra.tobytes() if made.table_spectra is not None else None)
-        if self._tables and self._tables[0] == key:
-            return self._tables[1]
-        aperture = self.camera.sensor.aperture / self.camera.sensor.pixel_pitch
-        bands = airy(device.array(made.q), aperture, *made.period, device=device)
-        if made.table_spectra is None:
-            tables = device.reshape(bands, (1, *bands.shape))
-        else:
-            channels, planes = made.gains.shape
-            table = (made.weights[:, None] * made.table_spectra).reshape(channels * planes, -1)
-            tables = integrate(bands, device.array(table), device=device)
-            tables = device.reshape(tables, (channels, planes, *bands.shape[1:]))
-        self._tables = (key, tables)
-        return tables
+               made.transfers.tobytes() if made.transfers is not None else None)
+        return self._keep("transfer", key, lambda: self._make_transfer(made))
+
+    def _bands(self, q, rows, cols, device):
+        """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves."""
+        optics, sensor = self.camera.optics, self.camera.sensor
+        pitch = sensor.pixel_pitch
+        aperture = sensor.aperture / pitch
+        if optics.is_ideal:
+            return airy(device.array(q), aperture, rows, cols, device=device)
+        waves = optics.waves(q * pitch / optics.working_f_number * 1e9)
+        return pupil(optics.pupil, waves, device.array(q), aperture, rows, cols, device=device,
+                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch)
+
+    def _make_transfer(self, made):
+        device = self.device
+        bands = self._bands(made.q, *made.period, device)
+        if made.transfers is None:
+            return device.reshape(bands, (1, *bands.shape))
+        channels, planes, count = made.transfers.shape
+        tables = integrate(bands, device.array(made.transfers.reshape(channels * planes, count)), device=device)
+        return device.reshape(tables, (channels, planes, *bands.shape[1:]))
 
     def _expose(self, made: Plan, rates, exposure_time):
-        return expose(rates, self.camera.sensor.cfa_indices, exposure_time, made.slope, device=self.device)
+        planes, cfa = rates
+        return expose(planes, cfa, exposure_time, made.slope, device=self.device)
 
     def _report(self, exposure, ms, seed, number, error, kept):
         made, camera = exposure.plan, self.camera
@@ -233,8 +284,9 @@ class Simulator:
             "sensor.noise": f"{', '.join(on) or 'no noise'}; full well, {sensor.bits} bit",
             demosaic: "monochrome" if sensor.is_monochrome else f"{processor.demosaic} demosaicking",
             "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
-        order = ("spectral.integrate", "spectral.materials", "optics.airy", "optics.blur", "sensor.expose",
-                 "sensor.noise", demosaic, "processor.color", "display.srgb")
+        order = ("spectral.integrate", "spectral.materials", "optics.airy", "optics.pupil", "optics.blur",
+                 "optics.mosaic", "optics.splat", "sensor.expose", "sensor.noise", demosaic, "processor.color",
+                 "display.srgb")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = type(scene.content).__name__.lower()

@@ -15,6 +15,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
+from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 
@@ -84,12 +85,31 @@ def _texts(value):
 _text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(bool, "true or false")
 
 
+def _numbers(count=None, per_unit=1.0):
+    def read(value):
+        if type(value) is not list or (count and len(value) != count):
+            raise _Wanted(f"a list of {count or 'the'} numbers")
+        return tuple(_number(per_unit)(item) for item in value)
+    return read
+
+
+def _pupil(value):
+    known = {"blades": _whole, "obscuration": _number(), "rotation_deg": _number(180 / np.pi)}
+    if type(value) is not dict or not value.keys() <= known.keys():
+        raise _Wanted("a table of blades, obscuration, rotation_deg")
+    return Pupil(**{key.removesuffix("_deg"): known[key](item) for key, item in value.items()})
+
+
 def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
 
 def _number_or_curve(value):
     return _number()(value) if type(value) in (int, float) else _curve(value)
+
+
+def _micrometres_or_curve(value):
+    return _number(1e6)(value) if type(value) in (int, float) else _curve(value)
 
 
 # [section] key: (field of the domain's class, reader). MICRO = 1e6 micrometres in a metre, and so on.
@@ -101,6 +121,14 @@ _OPTICS = {
     "transmission": ("transmission", _number_or_curve),
     "relative_illumination": ("relative_illumination", _text),
     "object_distance_m": ("object_distance", _number()),
+    "pupil": ("pupil", _pupil),
+    "defocus_um": ("defocus", _micrometres_or_curve),
+    "defocus_diopters": ("diopters", _number()),
+    "zernike_waves": ("zernike", _numbers()),
+    "seidel_waves": ("seidel", _numbers(5)),
+    "reference_nm": ("reference", _number()),
+    "birefringence_um": ("birefringence", _numbers(2, _MICRO)),
+    "diffuser_um": ("diffuser", _number(_MICRO)),
 }
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(_MICRO)),
@@ -151,13 +179,28 @@ def _camera(path, table):
     optics, sensor = _fields(path, table, "optics", Optics), _fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
+    optics = _lens(path, optics)
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     display = _fields(path, table, "display").get("name", "srgb")
     if display not in DISPLAYS:
         raise UnknownName("display.name", display, DISPLAYS)
     processor = Processor(**_fields(path, table, "processor"))
     reflectances(processor.training)  # raises here, where the file can be named, rather than in the first frame
-    return Camera(name, Optics(**optics), Sensor(**sensor), processor, DISPLAYS[display])
+    return Camera(name, optics, Sensor(**sensor), processor, DISPLAYS[display])
+
+
+def _lens(path, fields):
+    """Optics of its fields and of those that are parts of its wavefront or another measure of its defocus."""
+    diopters = fields.pop("diopters", None)
+    if diopters is not None and "defocus" in fields:
+        raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
+    defocus = fields.get("defocus", 0.0)
+    if not isinstance(defocus, float):
+        table = _single(path, "[optics] defocus_um", defocus)
+        fields["defocus"] = Spectrum(table.wavelengths, table.values / _MICRO, table.name)
+    aberrations = {key: fields.pop(key) for key in ("zernike", "seidel", "reference") if key in fields}
+    optics = Optics(**fields, wavefront=Wavefront(**aberrations))
+    return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
 
 
 def _fields(path, table, section, cls=None):
@@ -175,7 +218,8 @@ def _fields(path, table, section, cls=None):
             fields[field] = read(value)
         except _Wanted as wanted:
             raise BadFile(path, f"[{section}] {key} = {value!r}: wanted {wanted}") from None
-    required = {field.name for field in dataclasses.fields(cls) if field.default is dataclasses.MISSING} if cls else ()
+    required = {field.name for field in dataclasses.fields(cls)
+                if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
     missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")

@@ -58,6 +58,40 @@ __kernel void accumulate(
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) sums[c * plane + at] = total[c];
 }
+
+// The same with tables of complex values for every row.
+__kernel void accumulate_complex(
+    // in:
+    __global const float2 *restrict spectra,  // [SIZE][period_y][pitch]
+    __global const float2 *restrict tables,   // [1 or CHANNELS][count][period_y][half]
+    __constant float *gains,                  // [CHANNELS][SIZE]
+    // out:
+    __global float2 *restrict sums,           // [CHANNELS][period_y][pitch]
+    // params:
+    const int is_first, const int first, const int count, const int own_tables,
+    // sizes:
+    const int period_y, const int half_x, const int pitch)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    GUARD(x >= half_x || y >= period_y)
+    const size_t at = (size_t)y * pitch + x, plane = (size_t)period_y * pitch;
+    const size_t table = (size_t)period_y * half_x, place = (size_t)y * half_x + x;
+    float2 total[CHANNELS];
+#pragma unroll
+    for (int c = 0; c < CHANNELS; ++c) total[c] = is_first ? (float2)(0.0f, 0.0f) : sums[c * plane + at];
+#pragma unroll
+    for (int k = 0; k < SIZE; ++k) {
+        const float2 value = spectra[k * plane + at];
+#pragma unroll
+        for (int c = 0; c < CHANNELS; ++c) {
+            const float2 transfer = gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * table + place];
+            total[c] += (float2)(transfer.x * value.x - transfer.y * value.y,
+                                 transfer.x * value.y + transfer.y * value.x);
+        }
+    }
+#pragma unroll
+    for (int c = 0; c < CHANNELS; ++c) sums[c * plane + at] = total[c];
+}
 #endif
 
 __kernel void crop(

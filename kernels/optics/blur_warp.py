@@ -79,6 +79,41 @@ def accumulate(
 
 
 @wp.kernel
+def accumulate_complex(
+    # in:
+    spectra: wp.array4d[float],
+    tables: wp.array4d[float],
+    gains: wp.array2d[float],
+    # out:
+    sums: wp.array4d[float],
+    # params:
+    is_first: int,
+    first: int,
+    count: int,
+    own_tables: int,
+    # sizes:
+    size: int,
+    channels: int,
+    period_y: int,
+    half_x: int,
+    pitch: int,
+):
+    y, x = wp.tid()
+    for c in range(channels):
+        total = wp.vec2(0.0, 0.0)
+        if is_first == 0:
+            total = wp.vec2(sums[c, y, x, 0], sums[c, y, x, 1])
+        for k in range(size):
+            table_re = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x]
+            table_im = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x + 1]
+            re = spectra[k, y, x, 0]
+            im = spectra[k, y, x, 1]
+            total += wp.vec2(table_re * re - table_im * im, table_re * im + table_im * re)
+        sums[c, y, x, 0] = total[0]
+        sums[c, y, x, 1] = total[1]
+
+
+@wp.kernel
 def crop(
     # in:
     blurred: wp.array3d[float],
