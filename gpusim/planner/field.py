@@ -37,9 +37,8 @@ class FieldBlur:
     (kernels, planes, m, m). index: kernel of each tile's terms, shape (tiles, terms). edges: the tiles' boundaries
     along rows and columns [source pixel]. error: relative RMS of a natural image, root mean square and largest over
     the probed places. convolutions: how many kernels a pixel's light goes through. cost: arithmetic of the transforms
-    per plane and frame [flop]. kernels a pixel's light goes through. cost: arithmetic of the transforms per plane and
-    frame [flop].
-"""
+    per plane and frame [flop].
+    """
 
     method: str
     maps: Callable[[], np.ndarray]

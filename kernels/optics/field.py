@@ -48,6 +48,8 @@ def field(device, planes, coefficients, kernels, index, edges, gains, border, th
     channels, (tiles_y, tiles_x) = len(gains), (len(edge) - 1 for edge in edges)
     tables = transfer(device, kernels, edges) if tables is None else tables
     period, limit = _period(kernels.shape, edges), NEVER if threshold is None else float(threshold)
+    if border == "zero":  # there is no light outside
+        edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
     padded = blur(device, planes, coefficients, tables, kernels.shape[1], index, edges, gains, border, limit, period)
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
@@ -92,7 +94,7 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, gains, b
 
 
 def _on_host(device, planes, coefficients, tables, own, index, edges, gains, border, limit, period):
-    """The same, a thread to a tile: all of a tile stays in the core's cache, which halves the time (measured)."""
+    """The same, a thread to a tile: all of a tile stays in its core's cache (a third less time, measured)."""
     import scipy.fft
 
     padded = device.empty((len(gains), len(index), *period))
@@ -108,25 +110,30 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, gains, bor
         if not len(y) or not len(x):
             out[:, t] = 0
             return
-        from_y, from_x = (source[places + one] for source, places, one in zip(sources, (y, x), reach, strict=True))
         if y[0] >= 0 and y[-1] < rows and x[0] >= 0 and x[-1] < cols:
             place = weight_place = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
         else:
+            from_y, from_x = (source[places + one] for source, places, one in zip(sources, (y, x), reach, strict=True))
             place, weight_place = np.ix_(from_y, from_x), np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
-        dark = (from_y < 0)[:, None] | (from_x < 0)
         weights = coefficients[:, *weight_place]
-        weighted = np.zeros((index.shape[1], *period), np.float32)
-        sums = np.zeros((len(gains), period[0], period[1] // 2 + 1), np.complex64)
+        weighted = np.empty((index.shape[1], *period), np.float32)
+        weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
+        sums = np.empty((len(gains), period[0], period[1] // 2 + 1), np.complex64)
         for p, plane in enumerate(planes):
-            light = np.where(dark | (plane[place] > limit), np.float32(0), plane[place])
+            light = plane[place]
+            if limit < NEVER:
+                light = np.where(light > limit, np.float32(0), light)
             np.multiply(weights, light, out=weighted[:, : len(y), : len(x)])
             spectra, chosen = scipy.fft.rfft2(weighted), index[t] * own + min(p, own - 1)
-            total = spectra[0] * tables[chosen[0]]
-            for k in range(1, len(chosen)):
-                spectra[k] *= tables[chosen[k]]
-                total += spectra[k]
-            for sum_, gain in zip(sums, gains[:, p], strict=True):
-                sum_ += gain * total
+            for k, kernel in enumerate(chosen):
+                spectra[k] *= tables[kernel]
+                if k:
+                    spectra[0] += spectra[k]
+            for total, gain in zip(sums, gains[:, p], strict=True):
+                if p == 0:
+                    np.multiply(spectra[0], gain, out=total)
+                else:
+                    total += gain * spectra[0]
         out[:, t] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
