@@ -44,7 +44,7 @@ def airy(device, q, aperture, rows, cols):
 def cases():
     """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, a small fill factor."""
     why = ("a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
-           "all; the replicas' weights sum to at most 2")
+           "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors")
     for q, aperture, rows, cols in (((0.05,), 1.0, 6, 9), ((0.25, 0.4), 1.0, 65, 64),
                                     ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), 1.0, 5, 3), ((1.1,), 1.0, 1, 1),
                                     (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400)):
