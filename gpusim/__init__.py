@@ -15,7 +15,7 @@ _PUBLIC = {
     "Processor": "gpusim.domain.processor", "Scene": "gpusim.domain.scene", "Sensor": "gpusim.domain.sensor",
     "Cube": "gpusim.domain.scene", "Basis": "gpusim.domain.scene", "Materials": "gpusim.domain.scene",
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
-    "GpusimError": "gpusim.domain.errors",
+    "GpusimError": "gpusim.domain.errors", "Layer": "gpusim.domain.scene", "autofocus": "gpusim.focus",
     "Simulator": "gpusim.scheduler", "Frame": "gpusim.scheduler", "open_device": "gpusim.backends",
     "open_camera": "gpusim.data.cameras", "camera_names": "gpusim.data.cameras",
     "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights", "open_scene": "gpusim.io.scenes",

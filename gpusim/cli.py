@@ -42,7 +42,7 @@ def _simulate(arguments):
                          '"matrix": a raw converter needs the colour matrix')
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
-                       bands=bands, border=arguments.border)
+                       bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance)
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
     if arguments.frames > 1:
@@ -231,6 +231,9 @@ def _parser():
     simulate.add_argument("--report", metavar="FILE.json", help="what was modelled, times and errors")
     simulate.add_argument("--verify", action="store_true", help="also run the float64 reference: the true error")
     simulate.add_argument("--size", type=_size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
+    simulate.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
+                          "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
+                          "scene's, 1)")
     simulate.add_argument("--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)")
     simulate.add_argument("--luminance", type=float, metavar="CD_M2", help="of white in the scene's light")
     simulate.add_argument("--border", choices=("zero", "edge", "reflect"), help="the world outside the frame")

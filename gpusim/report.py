@@ -78,9 +78,16 @@ class Report:
         """Whether the true error is within the tolerance; None unless both are known."""
         return None if self.error is None or self.tolerance is None else self.error.meets(self.tolerance)
 
+    @property
+    def prediction_ratio(self) -> float | None:
+        """Predicted over true relative RMS error; None unless both are known and not 0."""
+        predicted = self.predicted.get("relative rms")
+        return predicted / self.error.rms if predicted and self.error and self.error.rms else None
+
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
-        return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance}
+        return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance,
+                              "prediction_ratio": self.prediction_ratio}
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
@@ -92,6 +99,8 @@ class Report:
             error = self.error
             lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
                          f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma")
+        if self.prediction_ratio:
+            lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
         if self.tolerance is not None:
             verdict = {True: "met", False: "NOT met", None: "not checked (verify measures the true error)"}
             lines.append(f"  tolerance: {verdict[self.meets_tolerance]}")

@@ -1,7 +1,9 @@
 """Binds a plan to a device: what runs when, what is kept from one frame to the next, and what it all took."""
 
+import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,21 @@ from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import DoesNotFit, OutOfRange, UnknownName
 from gpusim.domain.exposure import auto_exposure, exposure_value
-from gpusim.domain.scene import Cube, Materials, Scene
+from gpusim.domain.scene import Basis, Cube, Materials, Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.frames import write_frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
 from gpusim.kernels.display.srgb import srgb
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.field import field, transfer
+from gpusim.kernels.optics.gain import gain
+from gpusim.kernels.optics.mosaic import mosaic, transform_lengths
+from gpusim.kernels.optics.pupil import pupil
+from gpusim.kernels.optics.sample import sample
+from gpusim.kernels.optics.splat import splat
+from gpusim.kernels.optics.warp import warp
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.color import color
@@ -25,9 +35,12 @@ from gpusim.kernels.sensor.expose import expose
 from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
+from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
+from gpusim.planner.psf import psf_tables
 from gpusim.planner.rendering import Rendering, rendering
 from gpusim.report import Error, Report, StageReport
+from gpusim.truth import PROBES, at_pixels, probe_pixels
 
 DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 
@@ -44,7 +57,7 @@ class Exposure:
     mean: Any
     exposure_time: float
     rendering: Rendering
-    ms: dict = field(default_factory=dict)
+    ms: dict = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +87,17 @@ class Simulator:
     """A camera on a device.
 
     camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
-    relative RMS error or a Tolerance; with `verify` the report says whether it is met. reach: pixels of surroundings
-    on each side that take part in the blur.
+    relative RMS error or a Tolerance: wavelengths are fused into the fewest planes that are predicted to meet it, and
+    with `verify` the report says whether it is met; without one every wavelength is exact. guaranteed: predict for the
+    worst spectrum there can be, a monochromatic point, and not for the scene's own. reach: pixels of surroundings on
+    each side that take part in the blur; by default BORDER_REACH, or as many as the tolerance needs.
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 reach: int = BORDER_REACH):
+                 guaranteed: bool = False, reach: int | None = None):
         self.camera = camera
+        self.guaranteed = guaranteed
         self.reach = reach
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
@@ -91,7 +107,7 @@ class Simulator:
         if not (sensor.is_monochrome or sensor.bayer_phase):
             raise UnknownName(f"sensor.cfa of camera {camera.name!r}", "/".join(sensor.cfa),
                               ["RG/GB", "GR/BG", "GB/RG", "BG/GR", "one letter"])
-        self._tables: tuple = ()  # (key, transfer tables on the device) of the last plan
+        self._kept: dict = {}  # what -> (key, value): tables of the last plan, for the next frame of the same kind
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
         """One frame of `scene`; see `frames`."""
@@ -109,10 +125,7 @@ class Simulator:
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
         error = None
         if verify:
-            # surroundings as large as the frame: the border's error is part of the true error, and no light wraps
-            reference = Simulator(self.camera, device="numpy", reach=max(scene.shape)).expose(
-                scene, exposure.exposure_time)
-            error = Error.between(mean, reference.mean, self.camera.sensor.read_noise)
+            error = self._true_error(scene, exposure, mean)
         for number in range(first, first + count):
             with self.device.timed() as ms:
                 raw = self.draw(exposure.mean, exposure.exposure_time, seed=seed, frame=number)
@@ -121,13 +134,42 @@ class Simulator:
             report = self._report(exposure, ms, seed, number, error, kept=number > first)
             yield Frame(self.camera, exposure.exposure_time, exposure.rendering, mean, raw, shown, rgb, report)
 
+    def _true_error(self, scene, exposure, mean):
+        """Error of the mean electrons against the float64 reference."""
+        # surroundings as large as the frame: the border's error is part of the true error, and no light wraps
+        reference = Simulator(self.camera, device="numpy", reach=max(scene.shape))
+        if exposure.plan.varying is None:
+            truth = reference.expose(scene, exposure.exposure_time).mean
+        else:
+            pixels = probe_pixels(scene.shape)
+            truth = at_pixels(reference, scene, exposure.plan, exposure.exposure_time, pixels)
+            mean = mean[pixels[:, 0], pixels[:, 1]]
+        return Error.between(mean, truth, self.camera.sensor.read_noise)
+
+    def light(self, made: Plan):
+        """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
+        whole = slice(None)
+        table = None if isinstance(made.content, Cube) else np.asarray(
+            made.content.basis if isinstance(made.content, Basis) else made.content.spectra, np.float64).T
+        return self._warped(made, self._planes(made.content, table, (whole, whole)))
+
+    def _warped(self, made: Plan, planes):
+        """Planes as the distortion puts them."""
+        if made.warp is None:
+            return planes
+        shape = made.scene.samples if made.gains is None else planes.shape[1:]
+        border = "edge" if made.scene.border == "scene" else made.scene.border
+        return warp(planes, self.device.array(made.warp.nodes[None]), shape, border, made.warp.method,
+                    device=self.device)
+
     def plan(self, scene: Scene) -> Plan:
         """What a frame of `scene` takes. Raises BadData, DoesNotFit."""
         most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
-            LENGTHS[-1] - 2 * (self.reach + scene.margin))
-        if max(scene.shape) > most:
-            raise OutOfRange("scene size", "x".join(map(str, scene.shape[::-1])), f"up to {most} pixels each way")
-        made = plan(scene, self.camera, fft_length, self.reach)
+            LENGTHS[-1] - 2 * (ceil((self.reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
+        if max(scene.samples) > most:
+            raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
+        made = plan(scene, self.camera, transform_lengths, fft_length, self._sampled_tables, self.tolerance,
+                    self.guaranteed, self.reach, self._keep)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:
@@ -178,14 +220,122 @@ class Simulator:
         return shown, srgb(shown, device=self.device)
 
     def _rates(self, made: Plan):
-        """Electrons per second of every channel at every pixel, (C, rows, cols)."""
-        device, content, margin = self.device, made.scene.content, made.scene.margin
-        inner = slice(margin, -margin or None)
-        if made.gains is None:  # no blur: nothing outside the frame is needed
-            return self._planes(content, made.table, (inner, inner))
-        planes = self._planes(content, made.table, (slice(None), slice(None)))
+        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
+        device, content, margin = self.device, made.content, made.scene.margin
+        cfa = self.camera.sensor.cfa_indices
         border = "edge" if made.scene.border == "scene" else made.scene.border
-        return blur(planes, self._transfer(made), made.gains, border, made.period, margin=margin, device=device)
+        # without blur or distortion nothing outside the frame is needed
+        window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
+        planes = self._warped(made, self._planes(content, made.table, (window, window)))
+        if made.gains is None:
+            return self._pixels(made, planes), cfa
+        if made.folded:
+            rates = mosaic(planes, self._transfer(made), made.gains, cfa, border, made.period, margin=margin,
+                           device=device)
+        else:
+            # spare samples around the scene's own: the crop of the blur begins outside of them
+            if made.depth is None:
+                rates = blur(planes, self._transfer(made), made.gains, border, made.period, margin=margin - made.spare,
+                             device=device)
+            else:
+                rates = self._by_depth(made, planes, border)
+            if made.varying is not None:
+                rates = self._with_field(made, planes, rates, border)
+            if made.taps is not None:
+                if made.highlights is not None:
+                    rates = self._with_highlights(made, rates, None)
+                return self._pixels(made, rates), cfa
+            if made.highlights is None:
+                return rates, cfa
+            rates = expose(rates, cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+        if made.highlights is not None:
+            rates = self._with_highlights(made, rates, cfa)
+        return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
+
+    def _by_depth(self, made: Plan, planes, border):
+        """The channels, each point blurred as its distance demands, nearer layers laid over farther ones.
+
+        A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the
+        channel sees of a wavelength's kernel. Things go on outside the frame even where no light comes from there.
+        """
+        depth, device, margin = made.depth, self.device, made.scene.margin - made.spare
+        assert depth is not None
+        channels = len(made.weights)
+        white = made.weights / np.maximum(made.weights.sum(axis=1, keepdims=True), 1e-300)
+        lights, alphas, layers = [], [], []
+        for layer in range(depth.layers):
+            content, coverage, confusion = depth.sheet(layer, made.content)
+            own = planes if content is made.content else self._planes(content, made.table, (slice(None),))
+            for kernel, share in depth.shares(coverage, confusion):
+                bands = self._all_bands(made, depth.distances[kernel])
+                share = device.array(share[None])
+                light = blur(gain(own, share, device=device), self._combined(made, bands), made.gains, border,
+                             made.period, margin=margin, device=device)
+                cover = integrate(bands, device.array(white), device=device)
+                cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
+                alpha = blur(share, cover, np.ones((channels, 1), np.float32), "edge" if border == "zero" else border,
+                             made.period, margin=margin, device=device)
+                lights.append(device.numpy(light))
+                alphas.append(device.numpy(alpha))
+                layers.append(layer)
+        return composite(device.array(np.stack(lights)), device.array(np.stack(alphas)), layers, device=device)
+
+    def _with_field(self, made: Plan, planes, rates, border):
+        """The channels blurred as on the axis, with what the blur is more elsewhere."""
+        assert made.varying is not None
+        key = (made.varying.kernels.tobytes(), *(edge.tobytes() for edge in made.varying.edges))
+        inputs, tables = self._keep("field", key, lambda: (
+            {name: value if name == "edges" else self.device.array(value, np.int32 if name == "index" else np.float32)
+             for name, value in made.varying.stage_inputs.items()},
+            transfer(self.device, made.varying.kernels, made.varying.edges)))
+        return field(planes, gains=made.gains, border=border, margin=made.scene.margin - made.spare, base=rates,
+                     tables=tables, device=self.device, **inputs)
+
+    def _pixels(self, made: Plan, rates):
+        """Channels at the pixels from channels at the scene's samples."""
+        if made.taps is None:
+            return rates
+        rows, cols = made.taps
+        return sample(rates, rows.start, rows.weights, cols.start, cols.weights, device=self.device)
+
+    def _with_highlights(self, made: Plan, rates, cfa):
+        """The mosaic, or every channel of the samples, with the plan's highlights added."""
+        lights, device = made.highlights, self.device
+        assert lights is not None
+        reach = int(lights.reach.max())
+        aperture = self._grid(made.scene.samples_per_pixel)[1]
+        kernels = self._keep("points", (made.q.tobytes(), reach), lambda: point_kernels(made.q, aperture, reach))
+        weights = lights.spectra[:, None] * made.weights  # (kernels, channels, L)
+        cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
+        places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
+        shape = kernels.step, kernels.parts, kernels.spread
+        if made.taps is not None:
+            return np.stack([splat(one, np.zeros((1, 1), np.int32), places, lights.strength, cores[:, [c]],
+                                   profiles[:, [c]], *shape, device=device)
+                             for c, one in enumerate(device.numpy(rates))])
+        return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
+                     device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
+
+    def _keep(self, what, key, make):
+        """What `make` gave for `key` the last time, or gives now; one value of each kind is kept."""
+        if self._kept.get(what, (None,))[0] != key:
+            self._kept[what] = (key, make())
+        return self._kept[what][1]
+
+    def _sampled_tables(self, q, aperture, rows, cols, finer):
+        """Transfer tables for the planner, float64."""
+        pitch = self.camera.sensor.pixel_pitch / finer
+        return self._keep(f"sampled {rows}x{cols}", (q.tobytes(), aperture, finer),
+                          lambda: self._bands(q, pitch, aperture, rows, cols, open_device("numpy"), whole=False))
+
+    def _grid(self, samples_per_pixel):
+        """Distance of the samples that are blurred [m], and the width over which each is integrated [sample].
+
+        Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
+        """
+        sensor = self.camera.sensor
+        return (sensor.pixel_pitch / samples_per_pixel,
+                sensor.aperture / sensor.pixel_pitch if samples_per_pixel == 1 else 1.0)
 
     def _planes(self, content, table, window):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
@@ -199,27 +349,47 @@ class Simulator:
 
     def _transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
-        device = self.device
         assert made.gains is not None  # a plan with blur
         key = (made.q.tobytes(), made.period, made.gains.shape,
-               made.weights.tobytes() if made.table_spectra is not None else None,
-               made.table_spectra.tobytes() if made.table_spectra is not None else None)
-        if self._tables and self._tables[0] == key:
-            return self._tables[1]
-        aperture = self.camera.sensor.aperture / self.camera.sensor.pixel_pitch
-        bands = airy(device.array(made.q), aperture, *made.period, device=device)
-        if made.table_spectra is None:
-            tables = device.reshape(bands, (1, *bands.shape))
-        else:
-            channels, planes = made.gains.shape
-            table = (made.weights[:, None] * made.table_spectra).reshape(channels * planes, -1)
-            tables = integrate(bands, device.array(table), device=device)
-            tables = device.reshape(tables, (channels, planes, *bands.shape[1:]))
-        self._tables = (key, tables)
-        return tables
+               made.transfers.tobytes() if made.transfers is not None else None)
+        return self._keep("transfer", key, lambda: self._make_transfer(made))
+
+    def _bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True):
+        """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
+
+        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their width [sample].
+        distance: of the object [m], that in focus if not given. whole: for a convolution, see `psf_tables`.
+        """
+        optics = self.camera.optics
+        if optics.psf is not None:
+            return device.array(psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows,
+                                           cols, whole=whole))
+        if optics.is_ideal and distance is None:
+            return airy(device.array(q), aperture, rows, cols, device=device)
+        waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
+        return pupil(optics.pupil, waves, device.array(q), aperture, rows, cols, device=device,
+                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch)
+
+    def _make_transfer(self, made):
+        return self._combined(made, self._all_bands(made))
+
+    def _all_bands(self, made, distance=None):
+        return self._bands(made.q, *self._grid(made.scene.samples_per_pixel), *made.period, self.device, distance)
+
+    def _combined(self, made, bands):
+        """Transfer tables of the plan's planes from those of its wavelengths."""
+        device = self.device
+        if made.transfers is None:
+            return device.reshape(bands, (1, *bands.shape))
+        channels, planes, count = made.transfers.shape
+        tables = integrate(bands, device.array(made.transfers.reshape(channels * planes, count)), device=device)
+        return device.reshape(tables, (channels, planes, *bands.shape[1:]))
 
     def _expose(self, made: Plan, rates, exposure_time):
-        return expose(rates, self.camera.sensor.cfa_indices, exposure_time, made.slope, device=self.device)
+        planes, cfa = rates
+        if made.gain is not None:
+            planes = gain(planes, self.device.array(made.gain[None]), device=self.device)
+        return expose(planes, cfa, exposure_time, made.slope, device=self.device)
 
     def _report(self, exposure, ms, seed, number, error, kept):
         made, camera = exposure.plan, self.camera
@@ -233,15 +403,19 @@ class Simulator:
             "sensor.noise": f"{', '.join(on) or 'no noise'}; full well, {sensor.bits} bit",
             demosaic: "monochrome" if sensor.is_monochrome else f"{processor.demosaic} demosaicking",
             "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
-        order = ("spectral.integrate", "spectral.materials", "optics.airy", "optics.blur", "sensor.expose",
-                 "sensor.noise", demosaic, "processor.color", "display.srgb")
+        order = ("spectral.integrate", "spectral.materials", "optics.warp", "optics.airy", "optics.pupil",
+                 "optics.blur", "optics.composite", "optics.field", "optics.mosaic", "optics.splat", "optics.sample",
+                 "optics.gain", "sensor.expose", "sensor.noise", demosaic, "processor.color", "display.srgb")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = type(scene.content).__name__.lower()
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for D65, "
                                                  "saturation is display white"]
+        if error is not None and made.varying is not None:
+            notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
         return Report(
             {"name": scene.name, "rows": scene.shape[0], "cols": scene.shape[1], "form": form, "border": scene.border,
+             "samples_per_pixel": scene.samples_per_pixel,
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL
 from scipy.integrate import dblquad
 from scipy.special import j1
 
-from gpusim.backends import open_device
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
 from gpusim.kernels.optics.blur import blur
@@ -96,24 +95,3 @@ def test_border_rules(device):
     for border, ends in {"zero": (3.0, 3.0), "edge": (5.0, 6.0), "reflect": (5.0, 6.0)}.items():
         image = blur(row, tables, np.ones((1, 1)), border, period, device=device)
         np.testing.assert_allclose(image[0], [[ends[0], 3.0, 4.0, ends[1]]] * 2, atol=1e-5)
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_kernel_transforms_equal_the_library_ones(device, monkeypatch):
-    """The transforms that GPUs use, run on the CPU: the same stage, the same tolerances."""
-    from gpusim.kernels.common import fft
-    from gpusim.kernels.stage import compare
-
-    device = open_device(device)
-
-    class WithoutHostMemory:
-        on_host = False
-
-        def __getattr__(self, name):
-            return getattr(device, name)
-
-    for name in ("forward", "inverse"):
-        original = getattr(fft, name)
-        monkeypatch.setattr(fft, name, lambda _, *args, original=original: original(WithoutHostMemory(), *args))
-    for case, error in compare("optics.blur", device):
-        assert error <= case.tolerance, case.name

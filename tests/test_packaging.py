@@ -21,7 +21,9 @@ ALLOWED = {
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
     "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.kernels",
-                         "gpusim.planner", "gpusim.report"},
+                         "gpusim.planner", "gpusim.report", "gpusim.truth"},
+    "gpusim.focus": {"gpusim.domain", "gpusim.scheduler"},
+    "gpusim.truth": {"gpusim.domain", "gpusim.planner"},
 }
 
 

@@ -53,6 +53,7 @@ class OpenCLDevice(Device):
         self._cl = cl
         self.name = name
         self.cl_device = cl_device
+        self.group_limit = cl_device.max_work_group_size
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.context = cl.Context([cl_device])
@@ -172,8 +173,10 @@ class OpenCLDevice(Device):
             start = time.perf_counter()
             try:
                 program = self._cl.Program(self.context, head + source)
-                self._programs[key] = program.build(["-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt",
-                                                     "-I", str(include)])
+                options = ["-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt", "-I", str(include)]
+                if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
+                    options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
+                self._programs[key] = program.build(options)
             except self._cl.Error as error:
                 raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {error}") from error
             self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from gpusim.backends.device import Device
+from gpusim.backends.native import native_kernel
 from gpusim.domain.errors import DeviceError
 
 
@@ -47,6 +48,7 @@ class WarpDevice(Device):
         self.on_host = not self.is_gpu
         self.array_type = wp.array
         self._events: list = []
+        self._natives: dict = {}  # kernels from OpenCL text
         self.build_ms: dict[str, float] = {}
 
     @property
@@ -67,8 +69,8 @@ class WarpDevice(Device):
         return array if isinstance(array, np.ndarray) else array.numpy()
 
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
-        entry = self._kernel(stage, kernel)
         options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
+        entry = self._kernel(stage, kernel, defines or {}, args, options)
         begin = time.perf_counter()
         if self._times is not None and self.is_gpu:
             first = self._wp.Event(self.wp_device, enable_timing=True)
@@ -82,16 +84,29 @@ class WarpDevice(Device):
         if self._times is not None:
             self._times[self._charged or stage] += 1e3 * (time.perf_counter() - begin)  # CPU launches return when done
 
-    def _kernel(self, stage, kernel):
+    def _kernel(self, stage, kernel, defines, args, options):
         module = f"gpusim.kernels.{stage}_warp"
         if find_spec(module) is None:
             raise DeviceError(f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py")
         loaded = import_module(module)
+        if getattr(loaded, "NATIVE", False):
+            return self._native(stage, kernel, defines, args, options)
         if stage not in self.build_ms:
-            start = time.perf_counter()
-            self._wp.load_module(loaded, device=self.wp_device)
-            self.build_ms[stage] = 1e3 * (time.perf_counter() - start)
+            self._build(stage, loaded)
         return getattr(loaded, kernel)
+
+    def _native(self, stage, kernel, defines, args, options):
+        ranks = tuple(arg.ndim if isinstance(arg, self._wp.array) else None for arg in args)
+        key = (stage, kernel, ranks, *sorted(defines.items()))
+        if key not in self._natives:
+            self._natives[key] = native_kernel(self._wp, stage, kernel, defines, ranks)
+            self._build(stage, self._natives[key].module, **options)
+        return self._natives[key]
+
+    def _build(self, stage, module, **options):
+        start = time.perf_counter()
+        self._wp.load_module(module, device=self.wp_device, **options)
+        self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
     def sync(self):
         self._wp.synchronize_device(self.wp_device)

@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
+from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import DISPLAYS
+from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.sensor import Sensor
+from gpusim.domain.pupil import Pupil, Wavefront
+from gpusim.domain.sensor import Microlens, Sensor
 from gpusim.domain.spectrum import Spectrum
 
 _FOLDER = Path(__file__).with_name("cameras")
@@ -84,6 +87,53 @@ def _texts(value):
 _text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(bool, "true or false")
 
 
+_MILLI, _MICRO = 1e3, 1e6  # millimetres and micrometres in a metre
+
+
+def _numbers(count=None, per_unit=1.0):
+    def read(value):
+        if type(value) is not list or (count and len(value) != count):
+            raise _Wanted(f"a list of {count or 'the'} numbers")
+        return tuple(_number(per_unit)(item) for item in value)
+    return read
+
+
+def _pupil(value):
+    known = {"blades": _whole, "obscuration": _number(), "rotation_deg": _number(180 / np.pi)}
+    if type(value) is not dict or not value.keys() <= known.keys():
+        raise _Wanted("a table of blades, obscuration, rotation_deg")
+    return Pupil(**{key.removesuffix("_deg"): known[key](item) for key, item in value.items()})
+
+
+def _distortion(value):
+    models = {("k1", "k2", "radius_mm"): RadialPolynomial, ("k1", "k2", "k3", "p1", "p2", "radius_mm"): BrownConrady}
+    keys = tuple(value) if type(value) is dict else ()
+    if set(keys) == {"ideal_mm", "real_mm"}:
+        return RadialTable(*(np.array(_numbers(None, _MILLI)(value[key])) for key in ("ideal_mm", "real_mm")))
+    for known, model in models.items():
+        if keys and set(keys) == set(known):
+            return model(**{key.removesuffix("_mm"): _number(_MILLI if key == "radius_mm" else 1.0)(value[key])
+                            for key in known})
+    raise _Wanted("a table of " + ", or of ".join(", ".join(known) for known in (*models, ("ideal_mm", "real_mm"))))
+
+
+def _illumination(value):
+    if type(value) is list:
+        return _numbers()(value)
+    if type(value) is dict and value.keys() == {"heights", "values"}:
+        return tuple(np.array(_numbers()(value[key])) for key in ("heights", "values"))
+    if type(value) is not str:
+        raise _Wanted("a text, a list of coefficients or a table of heights and values")
+    return value
+
+
+def _microlens(value):
+    if type(value) is not dict or not {"angles_deg", "response"} <= value.keys() <= {"angles_deg", "response", "shift"}:
+        raise _Wanted("a table of angles_deg, response and shift")
+    return Microlens(np.radians(_numbers()(value["angles_deg"])), np.array(_numbers()(value["response"])),
+                     _number()(value.get("shift", 0.0)))
+
+
 def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
@@ -92,19 +142,34 @@ def _number_or_curve(value):
     return _number()(value) if type(value) in (int, float) else _curve(value)
 
 
-# [section] key: (field of the domain's class, reader). MICRO = 1e6 micrometres in a metre, and so on.
-_MILLI, _MICRO = 1e3, 1e6
+def _micrometres_or_curve(value):
+    return _number(1e6)(value) if type(value) in (int, float) else _curve(value)
+
+
+# [section] key: (field of the domain's class, reader)
 _OPTICS = {
     "f_number": ("f_number", _number()),
     "focal_length_mm": ("focal_length", _number(_MILLI)),
     "model": ("model", _text),
     "transmission": ("transmission", _number_or_curve),
-    "relative_illumination": ("relative_illumination", _text),
+    "relative_illumination": ("relative_illumination", _illumination),
     "object_distance_m": ("object_distance", _number()),
+    "pupil": ("pupil", _pupil),
+    "defocus_um": ("defocus", _micrometres_or_curve),
+    "defocus_diopters": ("diopters", _number()),
+    "zernike_waves": ("zernike", _numbers()),
+    "seidel_waves": ("seidel", _numbers(5)),
+    "reference_nm": ("reference", _number()),
+    "birefringence_um": ("birefringence", _numbers(2, _MICRO)),
+    "diffuser_um": ("diffuser", _number(_MICRO)),
+    "psf": ("psf", _text),
+    "distortion": ("distortion", _distortion),
+    "lateral_color": ("lateral_color", _number_or_curve),
 }
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(_MICRO)),
     "fill_factor": ("fill_factor", _number()),
+    "microlens": ("microlens", _microlens),
     "cfa": ("cfa", _texts),
     "qe": ("qe", _curve),
     "photodetector": ("photodetector", _curve),
@@ -151,13 +216,33 @@ def _camera(path, table):
     optics, sensor = _fields(path, table, "optics", Optics), _fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
+    optics = _lens(path, optics)
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     display = _fields(path, table, "display").get("name", "srgb")
     if display not in DISPLAYS:
         raise UnknownName("display.name", display, DISPLAYS)
     processor = Processor(**_fields(path, table, "processor"))
     reflectances(processor.training)  # raises here, where the file can be named, rather than in the first frame
-    return Camera(name, Optics(**optics), Sensor(**sensor), processor, DISPLAYS[display])
+    return Camera(name, optics, Sensor(**sensor), processor, DISPLAYS[display])
+
+
+def _lens(path, fields):
+    """Optics of its fields and of those that are parts of its wavefront or another measure of its defocus."""
+    diopters = fields.pop("diopters", None)
+    if diopters is not None and "defocus" in fields:
+        raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
+    defocus = fields.get("defocus", 0.0)
+    if not isinstance(defocus, float):
+        table = _single(path, "[optics] defocus_um", defocus)
+        fields["defocus"] = Spectrum(table.wavelengths, table.values / _MICRO, table.name)
+    aberrations = {key: fields.pop(key) for key in ("zernike", "seidel", "reference") if key in fields}
+    if not isinstance(fields.get("lateral_color", 0.0), float):
+        fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
+    if "psf" in fields:
+        fields["psf"] = read_psf(path.parent / fields["psf"])
+        fields.setdefault("model", "measured")
+    optics = Optics(**fields, wavefront=Wavefront(**aberrations))
+    return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
 
 
 def _fields(path, table, section, cls=None):
@@ -175,7 +260,8 @@ def _fields(path, table, section, cls=None):
             fields[field] = read(value)
         except _Wanted as wanted:
             raise BadFile(path, f"[{section}] {key} = {value!r}: wanted {wanted}") from None
-    required = {field.name for field in dataclasses.fields(cls) if field.default is dataclasses.MISSING} if cls else ()
+    required = {field.name for field in dataclasses.fields(cls)
+                if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
     missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")

@@ -1,6 +1,8 @@
 """Built-in scenes: test charts of known reflectance in a chosen light."""
 
 import inspect
+import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,10 +18,11 @@ BYTES_PER_PIXEL = 48  # ids, shading and the float64 intermediates of the costli
 
 
 def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminance=100.0, wavelengths=None,
-          **options) -> Scene:
+          samples_per_pixel: float = 1.0, **options) -> Scene:
     """Return a built-in scene; see CHARTS for the names, and the function of a chart for its options.
 
-    size: columns and rows [pixel]. light: a name for `illuminant`, or its relative power in energy units.
+    size: columns and rows of the frame [pixel]. samples_per_pixel: the chart is drawn that much finer, as `Scene` says.
+    light: a name for `illuminant`, or its relative power in energy units.
     luminance: of a perfect white diffuser in this light [cd m-2].
     wavelengths: [nm] nodes of the reflectances; None: 400, 410 .. 700. Beyond its own table a reflectance keeps its
         end value.
@@ -28,16 +31,21 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
     if name not in CHARTS:
         raise UnknownName("chart", name, CHARTS)
     draw = CHARTS[name]
-    known = [option for option in inspect.signature(draw).parameters if option not in ("cols", "rows")]
+    parameters = inspect.signature(draw).parameters
+    known = [option for option in parameters if option not in ("cols", "rows", "fine")]
     for option in options:
         if option not in known:
             raise UnknownName(f"option of chart {name!r}", option, known)
-    cols, rows = checked_size(size)
-    ids, shading, materials, border = draw(cols, rows, **options)
+    checked_size(size)
+    _require("samples_per_pixel", samples_per_pixel, 1 <= samples_per_pixel < np.inf,
+             "1 <= samples_per_pixel < inf")
+    cols, rows = checked_size([math.ceil(n * samples_per_pixel) for n in size])
+    fine = {"fine": samples_per_pixel} if "fine" in parameters else {}
+    ids, shading, materials, border = draw(cols, rows, **fine, **options)
     wavelengths = WAVELENGTHS if wavelengths is None else np.asarray(wavelengths, np.float64)
     content = Materials(wavelengths, ids, shading, materials.at(wavelengths, outside=None))
     light = illuminant(light) if isinstance(light, str) else light
-    return Scene(content, white_radiance(light, luminance), border, name=name)
+    return Scene(content, white_radiance(light, luminance), border, name=name, samples_per_pixel=samples_per_pixel)
 
 
 def colorchecker_patches(size) -> list[tuple[slice, slice]]:
@@ -132,47 +140,52 @@ def _flat(cols, rows, reflectance=0.18):
     return _gray(cols, rows, reflectance)
 
 
-def _points(cols, rows, count=24, background=1e-3, lowest=1e2, highest=1e6, seed=0):
-    """Point lights of one pixel on a dim grey background, darkness around the frame.
+def _points(cols, rows, fine, count=24, background=1e-3, lowest=1e2, highest=1e6, seed=0):
+    """Point lights of one sample on a dim grey background, darkness around the frame.
 
-    background: in units of white. The points are `lowest` to `highest` times as bright, evenly spaced in the
-    logarithm, white and six colours in turn, at positions that depend on `seed` alone.
+    background: in units of white. The points give `lowest` to `highest` times the light of a pixel of it, evenly spaced
+    in the logarithm, white and six colours in turn, in the middle of pixels that depend on `seed` alone.
     """
-    _require("points: count", count, isinstance(count, int | np.integer) and 1 <= count <= min(cols * rows, 100_000),
-             f"1 .. {min(cols * rows, 100_000)} (and at most the pixels)")
+    width, height = int(cols / fine), int(rows / fine)
+    most = min(width * height, 100_000)
+    _require("points: count", count, isinstance(count, int | np.integer) and 1 <= count <= most,
+             f"1 .. {most} (and at most the pixels)")
     _require("points: background", background, 0 < background < np.inf, "0 < background")
     _require("points: lowest", lowest, 0 < lowest < np.inf, "0 < lowest")
     _require("points: highest", highest, lowest <= highest < np.inf, "lowest <= highest")
     colours = reflectances("colorchecker")
     chosen = colours.values[12:18]  # blue, green, red, yellow, magenta, cyan
     spectra = np.vstack([np.ones(chosen.shape[1]), chosen / chosen.max(1, keepdims=True)])
-    where = np.random.default_rng(seed).choice(cols * rows, count, replace=False)
+    pixels = np.divmod(np.random.default_rng(seed).choice(width * height, count, replace=False), width)
+    where = tuple(((place + 0.5) * fine).astype(int) for place in pixels)
     ids = np.zeros((rows, cols), np.uint8)
     shading = np.full((rows, cols), background, np.float32)
-    ids.flat[where] = np.arange(count) % len(spectra)
-    shading.flat[where] = background * np.geomspace(lowest, highest, count)
+    ids[where] = np.arange(count) % len(spectra)
+    shading[where] = background * np.geomspace(lowest, highest, count) * fine**2
     return ids, shading, Spectrum(colours.wavelengths, spectra), "zero"
 
 
-def _deadleaves(cols, rows, surfaces="nature", smallest=4.0, seed=0):
+def _deadleaves(cols, rows, fine, surfaces="nature", smallest=4.0, seed=0):
     """Overlapping discs whose radii follow the power law r^-3, each of a measured reflectance.
 
     This law makes a picture that looks the same at every scale, as natural scenes do (Lee, Mumford & Huang,
     "Occlusion models for natural images", IJCV 41, 2001). Radii reach from `smallest` [pixel] to a third of the
-    picture. surfaces: a set of `reflectances`. A pixel belongs to the disc at its centre.
+    picture. surfaces: a set of `reflectances`. A sample belongs to the disc at its centre.
     """
     _require("deadleaves: smallest", smallest, 1 <= smallest < np.inf, "at least 1 pixel")
     samples = reflectances(surfaces)
-    largest = max(2 * smallest, min(cols, rows) / 3)
+    width, height = cols / fine, rows / fine
+    largest = max(2 * smallest, min(width, height) / 3)
     random = np.random.default_rng(seed)
     mean_area = 2 * np.pi * np.log(largest / smallest) / (smallest**-2 - largest**-2)
     # Eight layers on average leave e^-8 of the picture to the bottom leaf. Centres lie outside the frame too.
-    layers = 8 * (cols + 2 * largest) * (rows + 2 * largest) / mean_area
+    layers = 8 * (width + 2 * largest) * (height + 2 * largest) / mean_area
     ids = np.full((rows, cols), random.integers(len(samples.values)), np.uint8)
     for _ in range(int(layers)):
         x, y, quantile = random.random(3)
-        x, y = x * (cols + 2 * largest) - largest, y * (rows + 2 * largest) - largest
-        radius = (smallest**-2 + quantile * (largest**-2 - smallest**-2)) ** -0.5
+        x, y = x * (width + 2 * largest) - largest, y * (height + 2 * largest) - largest
+        x, y = (place * fine + (fine - 1) / 2 for place in (x, y))  # from the middle of pixel 0 to that of sample 0
+        radius = fine * (smallest**-2 + quantile * (largest**-2 - smallest**-2)) ** -0.5
         left, right = max(0, int(np.ceil(x - radius))), min(cols, int(x + radius) + 1)
         top, bottom = max(0, int(np.ceil(y - radius))), min(rows, int(y + radius) + 1)
         surface = random.integers(len(samples.values))
@@ -182,16 +195,17 @@ def _deadleaves(cols, rows, surfaces="nature", smallest=4.0, seed=0):
     return ids, np.ones((rows, cols), np.float32), samples, "edge"
 
 
-def _sweep(cols, rows, contrast=1.0):
+def _sweep(cols, rows, fine, contrast=1.0):
     """Draw a cosine whose frequency grows linearly from 0 at the left to Nyquist (0.5 cycle/pixel).
 
-    Reflectance 0.5 (1 + contrast cos(pi x^2 / (2 cols))), averaged over each pixel exactly: the integral is Fresnel's.
+    Reflectance 0.5 (1 + contrast cos(pi x^2 / (2 cols))), x and cols [pixel], averaged over each sample exactly: the
+    integral is Fresnel's.
     """
     from scipy.special import fresnel
 
     _require("sweep: contrast", contrast, 0 <= contrast <= 1, "0 .. 1")
-    edges = np.arange(cols + 1) / np.sqrt(cols)
-    averages = np.sqrt(cols) * np.diff(fresnel(edges)[1])
+    scale = np.sqrt(cols * fine)
+    averages = scale * np.diff(fresnel(np.arange(cols + 1) / scale)[1])
     return _gray(cols, rows, 0.5 * (1 + contrast * averages))
 
 
@@ -216,7 +230,7 @@ def checked_size(size) -> tuple[int, int]:
     return int(cols), int(rows)
 
 
-CHARTS = {
+CHARTS: dict[str, Callable] = {
     "colorchecker": _colorchecker, "slanted-edge": _slanted_edge, "ramp": _ramp, "flat": _flat, "points": _points,
     "deadleaves": _deadleaves, "sweep": _sweep,
 }

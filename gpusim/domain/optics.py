@@ -1,27 +1,38 @@
 """The lens: from scene radiance to the irradiance at the sensor."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.psf import PointSpread
+from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
 from gpusim.domain.spectrum import Spectrum
 
-MODELS = ("diffraction", "none")
+MODELS = ("diffraction", "measured", "none")
 RELATIVE_ILLUMINATIONS = ("cos4", "none")
 AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1, divided by pi: the "1.22" of textbooks
 
 
 @dataclass(frozen=True)
 class Optics:
-    """A thin lens with a circular aperture, focused at `object_distance`.
+    """A thin lens, focused at `object_distance`, with the pupil and the aberrations given.
 
     f_number: N = focal length / aperture diameter [1].
     focal_length: [m].
-    model: what blurs the image: "diffraction" (the ideal lens: nothing but its aperture) or "none".
+    model: what blurs the image: "diffraction" (at the pupil, with its wavefront), "measured" (`psf`) or "none".
     transmission: T(lambda) in 0 .. 1, one number or a Spectrum of one function.
-    relative_illumination: fall-off with the field angle, "cos4" or "none".
+    relative_illumination: fall-off toward the corner: "cos4", "none", the coefficients (a1, a2, ...) of
+        1 + a1 h + a2 h^2 + ... of the field height h, 1 at the corner, or two arrays (heights, values).
     object_distance: distance of the plane in focus [m]; infinity by default.
+    pupil: shape of the aperture; the f-number is that of its circumscribed circle. wavefront: aberrations.
+    defocus: how far behind the image the sensor is [m], one number or a Spectrum (axial colour).
+    birefringence: distance of the two images that a low-pass plate makes along (y, x) [m], 0 for one image.
+    diffuser: standard deviation of a Gaussian diffuser [m at the sensor].
+    psf: the point spreads of model "measured", in place of pupil, wavefront, defocus and low-pass.
+    distortion: where the lens puts a point against where a pinhole would; None: there.
+    lateral_color: image height over that of the nominal wavelength, less one [1], one number or a Spectrum.
     Raises BadData, OutOfRange, UnknownName.
     """
 
@@ -29,8 +40,16 @@ class Optics:
     focal_length: float
     model: str = "diffraction"
     transmission: Spectrum | float = 1.0
-    relative_illumination: str = "cos4"
+    relative_illumination: str | tuple = "cos4"
     object_distance: float = np.inf
+    pupil: Pupil = field(default_factory=Pupil)
+    wavefront: Wavefront = field(default_factory=Wavefront)
+    defocus: Spectrum | float = 0.0
+    birefringence: tuple[float, float] = (0.0, 0.0)
+    diffuser: float = 0.0
+    psf: PointSpread | None = None
+    distortion: Distortion | None = None
+    lateral_color: Spectrum | float = 0.0
 
     def __post_init__(self):
         if not 0.1 <= self.f_number <= 1000:
@@ -43,7 +62,10 @@ class Optics:
                              f"object_distance > focal_length ({self.focal_length:.6g} m)")
         if self.model not in MODELS:
             raise UnknownName("optics.model", self.model, MODELS)
-        if self.relative_illumination not in RELATIVE_ILLUMINATIONS:
+        if (self.model == "measured") != (self.psf is not None):
+            raise BadData(f'optics.psf: model "{self.model}" '
+                          + ("wants point spreads" if self.psf is None else 'leaves it unused; set model = "measured"'))
+        if isinstance(self.relative_illumination, str) and self.relative_illumination not in RELATIVE_ILLUMINATIONS:
             raise UnknownName("optics.relative_illumination", self.relative_illumination, RELATIVE_ILLUMINATIONS)
         values = self.transmission
         if isinstance(values, Spectrum):
@@ -53,6 +75,17 @@ class Optics:
         low, high = np.min(values), np.max(values)
         if not (low >= 0 and high <= 1):
             raise OutOfRange("optics.transmission", f"{low:.6g} .. {high:.6g}", "0 <= transmission <= 1")
+        defocus = self.defocus
+        if isinstance(defocus, Spectrum):
+            if defocus.values.ndim != 1:
+                raise BadData(f"optics.defocus: wanted one function of wavelength, got {len(defocus.values)}")
+            defocus = np.abs(defocus.values).max()
+        if not abs(defocus) < self.image_distance / 2:  # the formulas are first order in defocus / image distance
+            raise OutOfRange("optics.defocus", f"{defocus:.6g} m", f"less than half of {self.image_distance:.6g} m")
+        if len(self.birefringence) != 2 or not all(0 <= length < 1e-3 for length in self.birefringence):
+            raise OutOfRange("optics.birefringence", self.birefringence, "two lengths, 0 <= length < 1 mm")
+        if not 0 <= self.diffuser < 1e-3:
+            raise OutOfRange("optics.diffuser", f"{self.diffuser:.6g} m", "0 <= diffuser < 1 mm")
 
     @property
     def magnification(self) -> float:
@@ -71,18 +104,105 @@ class Optics:
 
     @property
     def irradiance_factor(self) -> float:
-        """On-axis irradiance over radiance [sr] of a lossless lens: pi / (1 + 4 N^2 (1 + |m|)^2).
+        """On-axis irradiance over radiance [sr] of a lossless lens: A pi / (1 + 4 N^2 (1 + |m|)^2), A = pupil.area.
 
         This is pi sin^2(theta) of the cone of half-angle tan(theta) = 1 / (2 N (1 + |m|)) that the aperture fills as
         seen from the image. The often quoted pi / (4 N^2) is its limit for large N and m = 0; at f/4 it is 1.6 % more.
         """
-        return np.pi / (1 + 4 * self.working_f_number**2)
+        return self.pupil.area * np.pi / (1 + 4 * self.working_f_number**2)
 
     def transmission_at(self, wavelengths) -> np.ndarray:
         """T at `wavelengths` [nm], shape (L,); beyond the ends of a table the end values go on."""
         if isinstance(self.transmission, Spectrum):
             return self.transmission.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.transmission))
+
+    def lateral_color_at(self, wavelengths) -> np.ndarray:
+        """Relative excess of the image height at `wavelengths` [nm], shape (L,)."""
+        if isinstance(self.lateral_color, Spectrum):
+            return self.lateral_color.at(wavelengths, outside=None)
+        return np.full(np.shape(wavelengths), float(self.lateral_color))
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether nothing but the diffraction at a clear circle blurs the image."""
+        return (self.model != "measured" and self.pupil == Pupil() and not any(self.birefringence)
+                and self.diffuser == 0 and not self.waves(np.array([550.0])).any()
+                and (self.defocus == 0 if not isinstance(self.defocus, Spectrum) else not self.defocus.values.any()))
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the blur on the axis is even along rows and columns because it is the same at every angle."""
+        return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
+
+    @property
+    def has_mirror(self) -> bool:
+        """Whether the blur at a field point is the mirror image of that at the point on the other side of the axis."""
+        odd = [self.wavefront.polynomial(height)[:, 1::2] for height in (0.5, 1.0, *self.wavefront.heights)]
+        return self.psf is None and self.pupil.blades == 0 and not np.any(odd)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the blur is not the same all over the field."""
+        if self.model == "none":
+            return False
+        if np.any(self.lateral_color_at([400.0, 550.0, 700.0])):
+            return True
+        if self.psf is not None:
+            return self.psf.heights is not None or self.psf.grid is not None
+        return bool(self.wavefront.heights) or any(self.wavefront.seidel[1:])
+
+    def on_axis(self) -> "Optics":
+        """The lens whose blur everywhere is that of this one on the axis."""
+        own = self.wavefront
+        zernike = own.zernike[0] if own.heights else own.zernike
+        wavefront = Wavefront(zernike, (), (own.seidel[0], 0.0, 0.0, 0.0, 0.0), own.reference)
+        psf = self.psf and replace(self.psf, values=self.psf.at(0.0, 0.0), heights=None, grid=None)
+        return replace(self, wavefront=wavefront, psf=psf, lateral_color=0.0)
+
+    @property
+    def description(self) -> str:
+        """The pupil and what is in it, in words."""
+        if self.psf is not None:
+            return f"measured point spreads at {len(self.psf.wavelengths)} wavelengths"
+        words = [f"polygon of {self.pupil.blades} blades" if self.pupil.blades else "circular pupil"]
+        words += [f"{self.pupil.obscuration:g} obscured"] if self.pupil.obscuration else []
+        words += ["out of focus"] if isinstance(self.defocus, Spectrum) or self.defocus else []
+        words += ["aberrated"] if any(self.wavefront.seidel) or np.any(self.wavefront.zernike) else []
+        words += ["low-pass"] if any(self.birefringence) or self.diffuser else []
+        return ", ".join(words)
+
+    def waves(self, wavelengths, height: float = 0.0, azimuth: float = 0.0, distance: float | None = None):
+        """Wavefront coefficients [l, i, j] of x^i y^j [waves of each wavelength], shape (L, n, n), n >= 5.
+
+        wavelengths: [nm]. height, azimuth: the field point, see `Wavefront.polynomial`. distance: of the object [m];
+        that in focus if not given. The constant term is left out. Defocus is W020 = d / (8 N^2 (1 + |m|)^2) for the
+        displacement d, Goodman (Introduction to Fourier Optics, 6.4) to first order in d; raises OutOfRange beyond
+        LONGEST_WAVEFRONT waves.
+        """
+        wavelengths = np.asarray(wavelengths, np.float64)
+        table = self.wavefront.polynomial(height, azimuth) * (self.wavefront.reference / wavelengths)[:, None, None]
+        shift = (self.defocus.at(wavelengths, outside=None) if isinstance(self.defocus, Spectrum)
+                 else np.full(wavelengths.shape, float(self.defocus)))
+        if distance is not None:
+            shift = shift + self.displacement(self.diopters(distance))
+        w020 = shift / (8 * self.working_f_number**2) / (wavelengths * 1e-9)
+        table[:, :3, :3] += w020[:, None, None] * disc_power(1)
+        table[:, 0, 0] = 0
+        if np.abs(w020).max(initial=0) > LONGEST_WAVEFRONT:
+            raise OutOfRange("optics.defocus", f"{np.abs(w020).max():.4g} waves", f"up to {LONGEST_WAVEFRONT:g} waves")
+        return table
+
+    def diopters(self, distance: float) -> float:
+        """Defocus of an object at `distance` [m] in dioptres [1/m]: 1 / object_distance - 1 / distance, > 0 beyond."""
+        return 1 / self.object_distance - 1 / distance
+
+    def displacement(self, diopters: float) -> float:
+        """Sensor displacement [m] that defocuses as much as `diopters`: D times the image distance squared.
+
+        Both stand for the same W020: D a^2 / 2, a the pupil's radius, is d / (8 N^2 (1 + |m|)^2) for this d.
+        """
+        return diopters * self.image_distance**2
 
     def airy_radius(self, wavelength):
         """Radius of the first dark ring [m] at `wavelength` [nm]: 1.21967 lambda N (1 + |m|).

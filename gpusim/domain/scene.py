@@ -45,17 +45,33 @@ class Materials:
 
 
 @dataclass(frozen=True, eq=False)
+class Layer:
+    """A thing in front of a scene's content, which goes on behind it.
+
+    content: of the scene's kind, wavelengths, basis or materials, and shape. alpha: share of every sample that it
+    covers, 0 .. 1, shape (rows, cols). depth: its distance [m], one number or shape (rows, cols).
+    """
+
+    content: Cube | Basis | Materials
+    alpha: np.ndarray
+    depth: np.ndarray | float
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Radiance of every scene point, L(x, lambda) = content(x, lambda) * illuminant(lambda).
 
-    content: Cube, Basis or Materials, one sample per sensor pixel. It is the reflectance [1] when the light is known;
-        when only the radiance was measured it is that radiance and the illuminant is 1.
+    content: Cube, Basis or Materials, the scene as samples on a square grid. It is the reflectance [1] when the light
+        is known; when only the radiance was measured it is that radiance and the illuminant is 1.
     illuminant: radiance of a perfect white diffuser in the scene's light [photon s-1 m-2 sr-1 nm-1].
-    border: what lies outside the frame: "zero" (dark), "edge" (the outermost pixels go on), "reflect" (mirrored),
-        "scene" (the outermost `margin` pixels of `content` are the surroundings and are not in the frame).
-    margin: width of the surroundings [pixel], with border = "scene" only.
+    border: what lies outside the frame: "zero" (dark), "edge" (the outermost samples go on), "reflect" (mirrored),
+        "scene" (the outermost `margin` samples of `content` are the surroundings and are not in the frame).
+    margin: width of the surroundings [sample], with border = "scene" only.
     fov: horizontal field of view [rad], or None: follows from the camera's pixels and focal length.
-    depth: distance of every pixel [m], shape (rows, cols), or None.
+    depth: distance of every sample [m], shape (rows, cols), or None.
+    samples_per_pixel: scene samples along a pixel's pitch, any number from 1 on. The frame is the middle of the
+        samples, as many whole pixels as fit; what is left over around it takes part in the blur.
+    layers: things in front of `content`, the nearest first, for a scene that knows what they hide; it needs `depth`.
     Raises BadData, OutOfRange, UnknownName.
     """
 
@@ -66,6 +82,8 @@ class Scene:
     fov: float | None = None
     depth: np.ndarray | None = None
     name: str = "scene"
+    samples_per_pixel: float = 1.0
+    layers: tuple[Layer, ...] = ()
 
     def __post_init__(self):
         _check_content(self.content, self.name)
@@ -75,9 +93,12 @@ class Scene:
             raise OutOfRange("scene.fov", f"{self.fov:.4g} rad", "0 < fov < pi rad")
         if self.margin < 0 or (self.margin > 0) != (self.border == "scene"):
             raise OutOfRange("scene.margin", self.margin, 'margin >= 1 with border = "scene", 0 otherwise')
-        rows, cols = self.shape
-        if rows < 1 or cols < 1:
+        if min(self.samples) < 1:
             raise BadData(f"{self.name}: nothing left of the {self._full_shape()} samples inside margin {self.margin}")
+        if not 1 <= self.samples_per_pixel <= min(self.samples):  # NaN is refused as well
+            rows, cols = self.samples
+            raise OutOfRange("scene.samples_per_pixel", self.samples_per_pixel,
+                             f"1 .. {min(self.samples)}: the frame of {cols} x {rows} samples has at least one pixel")
         if (self.illuminant.values < 0).any():
             raise BadData(f"{self.name}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})")
         if self.depth is not None:
@@ -85,16 +106,46 @@ class Scene:
                 raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self._full_shape()}")
             if not (self.depth > 0).all():
                 raise BadData(f"{self.name}: depth must be positive everywhere [m]")
+        self._check_layers()
+
+    def _check_layers(self):
+        object.__setattr__(self, "layers", tuple(self.layers))
+        if self.layers and self.depth is None:
+            raise BadData(f"{self.name}: layers need the depth of what is behind them")
+        farther = -np.inf
+        for number, layer in enumerate(self.layers):
+            name, content, shape = f"{self.name}: layer {number}", layer.content, self._full_shape()
+            _check_content(content, name)
+            same = type(content) is type(self.content) and np.array_equal(content.wavelengths, self.wavelengths)
+            if same and not isinstance(content, Cube):
+                key = "basis" if isinstance(content, Basis) else "spectra"
+                same = np.array_equal(getattr(content, key), getattr(self.content, key))
+            if not same:
+                raise BadData(f"{name}: wanted the scene's kind of content, its wavelengths and its basis or materials")
+            if _shape(content) != shape or np.shape(layer.alpha) != shape or np.shape(layer.depth) not in ((), shape):
+                raise BadData(f"{name}: content {_shape(content)}, alpha {np.shape(layer.alpha)} and depth "
+                              f"{np.shape(layer.depth)} do not match the scene {shape}")
+            if not (np.min(layer.alpha) >= 0 and np.max(layer.alpha) <= 1):
+                raise OutOfRange(f"{name}: alpha", f"{np.min(layer.alpha):.4g} .. {np.max(layer.alpha):.4g}", "0 .. 1")
+            if not np.min(layer.depth) > 0:
+                raise BadData(f"{name}: depth must be positive everywhere [m]")
+            if np.max(layer.depth) < farther:
+                raise BadData(f"{name}: nearer than the layer before it; the nearest comes first")
+            farther = np.min(layer.depth)
 
     def _full_shape(self):
-        content = self.content
-        if isinstance(content, Cube):
-            return content.values.shape[1:]
-        return content.coefficients.shape[1:] if isinstance(content, Basis) else content.ids.shape
+        return _shape(self.content)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the frame (without the margin)."""
+        """Rows and columns of the frame [pixel]."""
+        # a ratio such as 1.1 is no binary fraction: 11 samples are 10 pixels of it, not 9.999...
+        rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
+        return rows, cols
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Rows and columns of the scene's samples without the margin."""
         rows, cols = self._full_shape()
         return rows - 2 * self.margin, cols - 2 * self.margin
 
@@ -112,6 +163,13 @@ class Scene:
 def unit_light(wavelengths) -> Spectrum:
     """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
     return Spectrum(np.asarray(wavelengths)[[0, -1]], np.ones(2), "unknown light")
+
+
+def _shape(content):
+    """Rows and columns of samples."""
+    if isinstance(content, Cube):
+        return content.values.shape[1:]
+    return content.coefficients.shape[1:] if isinstance(content, Basis) else content.ids.shape
 
 
 def _check_content(content, name):

@@ -12,6 +12,32 @@ HUGE = 1e12  # more than any electrons, seconds or gain; squares of it are far f
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
 
 
+@dataclass(frozen=True, eq=False)
+class Microlens:
+    """How a pixel answers light that comes slantwise.
+
+    angles: of the chief ray [rad], rising from 0, shape (n,). response: over that of a pixel on the axis [1], 1 at
+    angle 0, shape (n,). shift: how far the microlenses are moved toward the axis, 0 not at all, 1 so that every pixel
+    takes its chief ray as one on the axis does. Raises BadData, OutOfRange.
+    """
+
+    angles: np.ndarray
+    response: np.ndarray
+    shift: float = 0.0
+
+    def __post_init__(self):
+        angles, response = np.asarray(self.angles, np.float64), np.asarray(self.response, np.float64)
+        if angles.ndim != 1 or angles.shape != response.shape or len(angles) < 2 or angles[0] != 0 \
+                or not (np.diff(angles) > 0).all():
+            raise BadData("sensor.microlens: wanted two or more angles rising from 0 and as many responses")
+        if not (np.isfinite(response).all() and response.min() >= 0 and response[0] > 0):
+            raise BadData("sensor.microlens: a response is negative or not finite, or that on the axis is 0")
+        if not 0 <= self.shift <= 2:
+            raise OutOfRange("sensor.microlens.shift", self.shift, "0 <= shift <= 2")
+        object.__setattr__(self, "angles", angles)
+        object.__setattr__(self, "response", response / response[0])
+
+
 @dataclass(frozen=True)
 class Sensor:
     """An image sensor with square pixels and one repeating colour mosaic.
@@ -25,6 +51,7 @@ class Sensor:
     channels: one letter per curve, such as ("R", "G", "B") or ("Y",).
     cfa: the mosaic's period as rows of these letters, such as ("RG", "GB") or, monochrome, ("Y",); at most 8 x 8.
     fill_factor: aperture area over pixel area [1]; the aperture is a centred square.
+    microlens: what pixels lose toward the corner, None: nothing.
     exposure_time: [s], or None: chosen by automatic exposure.
     black_level: digital number of a dark pixel [DN].
     gain: [DN/e-], or None: such that a full well just reaches the white level.
@@ -41,6 +68,7 @@ class Sensor:
     channels: tuple[str, ...] = ("R", "G", "B")
     cfa: tuple[str, ...] = ("RG", "GB")
     fill_factor: float = 1.0
+    microlens: Microlens | None = None
     exposure_time: float | None = None
     black_level: int = 0
     gain: float | None = None

@@ -9,7 +9,7 @@ gpusim's own keys, all arrays band-major:
     illuminant_wavelengths_nm, illuminant   (N,) [nm], (N,) [photon s-1 m-2 sr-1 nm-1], radiance of white: the content
                                             is reflectance; without these two it is radiance, in the same unit
     kind                                    "reflectance": of `cube`, when the light is not known; else "radiance"
-    border, margin, fov_rad, depth_m, name  as in Scene
+    border, margin, fov_rad, depth_m, name, samples_per_pixel  as in Scene
 
 Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows, cols, L), or `coef`
 (rows, cols, K) with `basis` (K, L); `wave` (L,); `illuminant_photons` (L,) if known; `fov_deg`. The key alone says the
@@ -34,6 +34,8 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says 
 def write_npz(path, scene: Scene):
     """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
     content = scene.content
+    if scene.layers:
+        raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: an archive holds one picture and its depth")
     arrays: dict = {"wavelengths_nm": content.wavelengths}
     if isinstance(content, Cube):
         arrays |= {"cube": content.values}
@@ -42,7 +44,8 @@ def write_npz(path, scene: Scene):
     else:
         arrays |= {"ids": content.ids, "shading": content.shading, "spectra": content.spectra}
     arrays |= {"illuminant_wavelengths_nm": scene.illuminant.wavelengths, "illuminant": scene.illuminant.values,
-               "border": scene.border, "margin": scene.margin, "name": scene.name}
+               "border": scene.border, "margin": scene.margin, "name": scene.name,
+               "samples_per_pixel": scene.samples_per_pixel}
     if scene.fov is not None:
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
@@ -128,7 +131,7 @@ class _Archive:
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
         fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
         return Scene(content, illuminant, self.single("border", "edge"), self.single("margin", 0), fov, depth,
-                     self.single("name", self.path.stem))
+                     self.single("name", self.path.stem), self.single("samples_per_pixel", 1.0))
 
     def content(self, form, wavelengths):
         """Return the pixels, still in the unit of the file."""

@@ -19,15 +19,18 @@ SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg")
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
 
 
-def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None) -> Scene:
+def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
+               samples_per_pixel=None) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file: spectral or RGB .exr, .npz, or a photograph .png, .jpg.
 
-    size: columns and rows of a chart; a file has its own size.
+    size: columns and rows of the frame of a chart [pixel]; a file has its own size.
     light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
         in the light; where the light is not known, the mean over the scene instead. Without them a scene keeps the
         light that it has; reflectances and photographs alone get D65 with white at 100 cd m-2.
     bands: {channel: wavelength [nm]} of an .exr whose channels are not named by wavelength.
     border, fov [rad]: as in Scene, in exchange for the scene's own.
+    samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
+        file keeps its samples, they make fewer pixels.
     Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
     path = Path(name_or_path)
@@ -35,6 +38,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         raise OutOfRange("bands", sorted(bands), "none: bands are named in .exr files only")
     if str(name_or_path) in CHARTS:
         scene = chart(str(name_or_path), light=light or LIGHT, luminance=LUMINANCE if luminance is None else luminance,
+                      samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
                       **({"size": size} if size else {}))
     elif path.suffix.lower() in SUFFIXES:
         if size:
@@ -44,7 +48,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         scene = _relit(path, scene, light, luminance)
     else:
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
-    changes = {"border": border, "fov": fov}
+    changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
 
 

@@ -3,9 +3,9 @@
 A spectrum is float32 of shape (planes, rows, pitch, 2): real and imaginary parts of the columns 0 .. cols // 2, which
 determine the rest; what lies between cols // 2 + 1 and the pitch is scratch.
 
-OpenCL GPUs transform a whole line in local memory, so that a plane is read and written twice in all (fft.cl). Warp has
-no local memory outside its tiles, whose transform refuses lengths such as 1200: there each radix is a pass through
-global memory (fft_warp.py), eight times slower.
+GPUs transform whole lines in local memory (fft.cl, whose text Warp's CUDA devices run too), so that a plane is read and
+written twice in all. Source: Stockham's self-sorting form (Van Loan, Computational Frameworks for the Fast Fourier
+Transform, 1.7).
 """
 
 import functools
@@ -14,9 +14,13 @@ from math import prod
 
 import numpy as np
 
+from gpusim.kernels.common.border import BORDERS, extend
+
 LOCAL_BYTES = 48 * 1024  # local memory that every GPU of the last ten years gives a group
-THREADS = 256
-LONGEST = LOCAL_BYTES // 8 * 15 // 16 - 1  # one complex line in local memory, see ROOM in fft.cl
+GROUP = 512  # work-items at most
+REGISTERS = 65536 // GROUP  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
+RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
+SECTOR = 4  # complex values that memory moves at once, 32 bytes
 LENGTHS = tuple(sorted(2**a * 3**b * 5**c for a in range(16) for b in range(10) for c in range(7)
                        if 2**a * 3**b * 5**c <= 2**15))
 
@@ -26,40 +30,92 @@ def fft_length(minimum: int) -> int:
     return next(length for length in LENGTHS if length >= minimum)
 
 
-def forward(device, planes):
-    """Spectra of `planes` (planes, rows, cols); `planes` may be overwritten."""
-    count, rows, cols = planes.shape
+def pitch_of(device, cols) -> int:
+    """Complex values from one row of a spectrum of `cols` columns to the next: whole sectors on a GPU."""
     half = cols // 2 + 1
-    if device.kind == "warp" and not device.on_host:
-        front = device.empty((count, rows, cols, 2))
-        device.launch("common.fft", "complex_from_real", (count, rows, cols), planes, front, count, rows, cols)
-        front, back = _passes(device, front, device.empty(front.shape), axis=1, lines=rows, sign=-1)
-        return _passes(device, front, back, axis=0, lines=half, sign=-1)[0]
-    if device.on_host or max(rows, cols) > LONGEST:
+    return half if device.on_host else -(-half // SECTOR) * SECTOR
+
+
+def forward(device, planes):
+    """Spectra of `planes` (planes, rows, cols), shape (planes, rows, pitch, 2); `planes` may be overwritten."""
+    if device.on_host or room(max(planes.shape[1:])) > LOCAL_BYTES:
         return _host_forward(device, planes)
-    spectra = device.empty((count, rows, half, 2))
-    _rows(device, "rows_forward", planes, spectra, -1, (), count * rows, half, cols)
-    _columns(device, spectra, -1)
-    return spectra
+    return _local_forward(device, planes, 0, planes.shape[0], "zero", planes.shape[1:])
+
+
+def forward_extended(device, planes, first, size, border, period):
+    """The same of `common.border.extend` with these arguments, shape (size, period[0], pitch, 2); `planes` stay."""
+    if device.on_host or room(max(period)) > LOCAL_BYTES:
+        return _host_forward(device, extend(device, planes, first, size, border, period))
+    return _local_forward(device, planes, first, size, border, period)
 
 
 def inverse(device, spectra, cols):
     """Planes (planes, rows, cols) whose spectra these are, normalised; `spectra` is overwritten."""
     count, rows, pitch, _ = spectra.shape
-    if device.kind == "warp" and not device.on_host:
-        front, back = _passes(device, spectra, device.empty(spectra.shape), axis=0, lines=cols // 2 + 1, sign=1)
-        device.launch("common.fft", "mirror", (count, rows, pitch), front, count, rows, pitch)
-        front, _ = _passes(device, front, back, axis=1, lines=rows, sign=1)
-        planes = device.empty((count, rows, cols))
-        device.launch("common.fft", "real_from_complex", (count, rows, cols), front, planes, 1 / (rows * cols),
-                      count, rows, cols)
-        return planes
-    if device.on_host or max(rows, cols) > LONGEST:
+    if device.on_host or room(max(rows, cols)) > LOCAL_BYTES:
         return _host_inverse(device, spectra, cols)
-    _columns(device, spectra, 1)
+    _columns(device, spectra, spectra, 0, 1)
     planes = device.empty((count, rows, cols))
-    _rows(device, "rows_inverse", spectra, planes, 1, (1 / (rows * cols),), count * rows, pitch, cols)
+    _rows(device, "rows_inverse", spectra, planes, (1 / (rows * cols),), count * rows, (pitch,), cols, 1)
     return planes
+
+
+def room(length, lines=1) -> int:
+    """Bytes of local memory that complex lines take (ROOM in fft.clh)."""
+    padded = length + (length // 16 if length % 128 == 0 else 0)
+    return 8 * lines * (-(-padded // 16) * 16 + 4)
+
+
+def passes(length, lines, sign, step=1) -> str:
+    """The PASSes of a transform (fft.clh): sign -1 forward, +1 inverse; roots are those of length x step."""
+    radices = _radices(length)
+    return " ".join(f"PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f)"
+                    for n, radix in enumerate(radices))
+
+
+def threads(device, length, lines) -> int:
+    """Work-items of a group: one transform of the second largest radix each, or the passes leave many idle."""
+    radix = _radices(length)[:2][-1]
+    return min(GROUP, device.group_limit, -(-lines * length // (radix * 32)) * 32)
+
+
+@functools.cache
+def roots(device, length):
+    """Roots of unity exp(2 pi i n / length), float64 mathematics rounded once, shape (length, 2)."""
+    values = np.exp(2j * np.pi * np.arange(length) / length)
+    return device.array(np.stack([values.real, values.imag], axis=-1))
+
+
+def _local_forward(device, planes, first, size, border, period):
+    """Rows first, those of the frame alone: what is above and below is filled in as the columns read."""
+    _, rows, cols = planes.shape
+    pitch = pitch_of(device, period[1])
+    before_y, before_x = ((length - n) // 2 for length, n in zip(period, (rows, cols), strict=True))
+    halves, spectra = device.empty((size, rows, pitch, 2)), device.empty((size, period[0], pitch, 2))
+    _rows(device, "rows_forward", planes, halves, (first * rows, before_x), size * rows, (cols, pitch), period[1], -1,
+          border)
+    _columns(device, halves, spectra, before_y, -1, border)
+    return spectra
+
+
+def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
+    group = threads(device, length, 1)
+    device.launch("common.fft", kernel, (-(-rows // 2) * group,), source, roots(device, length), target, *parameters,
+                  rows, *sizes, group=(group,), defines=_defines(length, 1, group, sign, border))  # two rows to a line
+
+
+def _columns(device, source, target, before, sign, border="zero"):
+    (count, rows, pitch, _), length = source.shape, target.shape[1]
+    lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= LOCAL_BYTES)
+    group, groups = threads(device, length, lines), pitch // lines
+    device.launch("common.fft", "columns", (count * groups * group,), source, roots(device, length), target, before,
+                  rows, pitch, groups, group=(group,), defines=_defines(length, lines, group, sign, border))
+
+
+def _defines(length, lines, group, sign, border):
+    return {"BORDER": BORDERS[border], "LENGTH": length, "LINES": lines, "THREADS": group, "REGISTERS": REGISTERS,
+            "PASSES": passes(length, lines, sign)}
 
 
 def _host_forward(device, planes):
@@ -80,55 +136,17 @@ def _host_inverse(device, spectra, cols):
     return device.array(planes)
 
 
-def _rows(device, kernel, source, target, sign, parameters, rows, pitch, length):
-    groups = (rows + 1) // 2  # two real rows make one complex line
-    device.launch("common.fft", kernel, (groups * THREADS,), source, _roots(device, length, sign), target,
-                  *parameters, rows, pitch, group=(THREADS,), defines=_defines(length, 1, sign))
-
-
-def _columns(device, spectra, sign):
-    count, length, pitch, _ = spectra.shape
-    # four columns of 8 bytes fill a memory sector
-    lines = max(1, min(4, LOCAL_BYTES // (8 * (length + length // 16 + 1))))
-    device.launch("common.fft", "columns", (count, -(-pitch // lines) * THREADS), spectra,
-                  _roots(device, length, sign), pitch, pitch, group=(1, THREADS), defines=_defines(length, lines, sign))
-
-
-def _passes(device, front, back, axis, lines, sign):
-    """Stockham passes through global memory along one axis; returns (result, scratch).
-
-    A pass of radix R with p = product of the radices before it takes the R inputs n / R apart to p apart; the sums of
-    the small transform and the twiddle factors share one table of n roots of unity.
-    """
-    count, rows, pitch, _ = front.shape
-    length = rows if axis == 0 else pitch
-    done = 1
-    for radix in _radices(length):
-        grid = (count, length // radix, lines) if axis == 0 else (count, lines, length // radix)
-        device.launch("common.fft", "stockham", grid, front, _roots(device, length, sign), back, radix, done, length,
-                      axis)
-        front, back = back, front
-        done *= radix
-    return front, back
-
-
 @functools.cache
-def _roots(device, length, sign):
-    """Roots of unity exp(sign 2 pi i n / length), float64 mathematics rounded once, as (length, 2)."""
-    roots = np.exp(sign * 2j * np.pi * np.arange(length) / length)
-    return device.array(np.stack([roots.real, roots.imag], axis=-1))
-
-
-def _defines(length, lines, sign):
-    passes = _radices(length)
-    text = " ".join(f"PASS({radix}, {prod(passes[:n])})" for n, radix in enumerate(passes))
-    return {"LENGTH": length, "LINES": lines, "THREADS": THREADS, "SIGN": f"{sign}.0f", "PASSES": text}
-
-
 def _radices(length):
-    radices = []
-    for radix in (8, 4, 2, 3, 5):
-        while length % radix == 0:
-            radices.append(radix)
-            length //= radix
-    return radices
+    """Fewest radices whose product is the length, the largest of them as small as can be, large ones first."""
+    if length == 1:
+        return (1,)
+    best = {1: ()}
+    for n in LENGTHS[1:]:
+        if length % n:
+            continue
+        choices = [(*best[n // radix], radix) for radix in RADICES if n % radix == 0 and n // radix in best]
+        best[n] = min(choices, key=lambda found: (len(found), max(found)))
+        if n == length:
+            break
+    return tuple(sorted(best[length], reverse=True))

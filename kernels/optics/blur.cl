@@ -1,31 +1,4 @@
-// The transforms are elsewhere (common/fft.py); these kernels extend, weight and sum, and crop, all memory-bound.
-
-int reflected(int i, const int n)  // mirrored with the outermost pixel repeated, however far outside
-{
-    i %= 2 * n;
-    if (i < 0) i += 2 * n;
-    return i < n ? i : 2 * n - 1 - i;
-}
-
-__kernel void extend(
-    // in:
-    __global const float *restrict planes,
-    // out:
-    __global float *restrict extended,
-    // params:
-    const int first, const int border, const int before_y, const int before_x,
-    // sizes:
-    const int rows, const int cols, const int size, const int period_y, const int period_x)
-{
-    const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
-    GUARD(x >= period_x || y >= period_y || k >= size)
-    const int v = y - before_y, u = x - before_x;
-    const int inside = u >= 0 && u < cols && v >= 0 && v < rows;
-    const int sy = border == 2 ? reflected(v, rows) : clamp(v, 0, rows - 1);
-    const int sx = border == 2 ? reflected(u, cols) : clamp(u, 0, cols - 1);
-    const float value = planes[((size_t)(first + k) * rows + sy) * cols + sx];
-    extended[((size_t)k * period_y + y) * period_x + x] = inside || border != 0 ? value : 0.0f;
-}
+// The transforms are elsewhere (common/fft.py); these kernels weight and sum, and crop, all memory-bound.
 
 #ifdef SIZE  // the host builds the rest without it
 // SIZE spectra go into CHANNELS sums at once: each spectrum and table is read once per batch.
@@ -54,6 +27,40 @@ __kernel void accumulate(
 #pragma unroll
         for (int c = 0; c < CHANNELS; ++c)
             total[c] += gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + fold] * value;
+    }
+#pragma unroll
+    for (int c = 0; c < CHANNELS; ++c) sums[c * plane + at] = total[c];
+}
+
+// The same with tables of complex values for every row.
+__kernel void accumulate_complex(
+    // in:
+    __global const float2 *restrict spectra,  // [SIZE][period_y][pitch]
+    __global const float2 *restrict tables,   // [1 or CHANNELS][count][period_y][half]
+    __constant float *gains,                  // [CHANNELS][SIZE]
+    // out:
+    __global float2 *restrict sums,           // [CHANNELS][period_y][pitch]
+    // params:
+    const int is_first, const int first, const int count, const int own_tables,
+    // sizes:
+    const int period_y, const int half_x, const int pitch)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    GUARD(x >= half_x || y >= period_y)
+    const size_t at = (size_t)y * pitch + x, plane = (size_t)period_y * pitch;
+    const size_t table = (size_t)period_y * half_x, place = (size_t)y * half_x + x;
+    float2 total[CHANNELS];
+#pragma unroll
+    for (int c = 0; c < CHANNELS; ++c) total[c] = is_first ? (float2)(0.0f, 0.0f) : sums[c * plane + at];
+#pragma unroll
+    for (int k = 0; k < SIZE; ++k) {
+        const float2 value = spectra[k * plane + at];
+#pragma unroll
+        for (int c = 0; c < CHANNELS; ++c) {
+            const float2 transfer = gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * table + place];
+            total[c] += (float2)(transfer.x * value.x - transfer.y * value.y,
+                                 transfer.x * value.y + transfer.y * value.x);
+        }
     }
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) sums[c * plane + at] = total[c];

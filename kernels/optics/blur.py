@@ -1,11 +1,13 @@
 """Blur of every plane by its own transfer function, summed into channels: the exact per-band form.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2 + 1) float32 [1],
-gains (channels, planes) float32 -> channels (channels, rows, cols) float32:
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], gains (channels, planes) float32
+-> channels (channels, rows, cols) float32:
 
     e_c = sum over k of  gains[c, k] (planes_k * kernel_k),
 
-kernel_k given by its (even, real) transfer function: tables[0, k] for every channel or tables[c, k] for each its own.
+kernel_k given by its transfer function, tables[0, k] for every channel or tables[c, k] for each its own: a quarter,
+(period_y // 2 + 1, period_x // 2 + 1), for kernels that are even along both axes, whose transfer is real; a half,
+(period_y, 2 (period_x // 2 + 1)), real and imaginary parts side by side, for any other kernel.
 The sum is taken in the frequency domain: one transform per plane, one inverse per channel. The scene goes on beyond
 the frame as `border` says, up to half of what the period has more than the frame; only what lies farther away than
 the period minus the frame wraps around, which the planner reports as the energy of the kernel out there.
@@ -16,7 +18,6 @@ import numpy as np
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import Case, stage
 
-BORDERS = {"zero": 0, "edge": 1, "reflect": 2}  # a scene with surroundings of its own passes them in `planes`
 BATCH = 8  # planes transformed at once: the sums are read and written once per batch
 
 
@@ -24,9 +25,11 @@ BATCH = 8  # planes transformed at once: the sums are read and written once per 
 def blur(device, planes, tables, gains, border, period, margin=0):
     """Convolve each plane with its kernel and add up per channel.
 
-    planes: shape (planes, rows, cols). tables: shape (1 or channels, planes, period[0] // 2 + 1, period[1] // 2 + 1),
-    entry (i, j) at the frequency (i / period[0], j / period[1]) cycles per pixel. gains: shape (channels, planes).
-    border: "zero", "edge" or "reflect" (the outermost pixel is repeated). period: transform lengths, at least
+    planes: shape (planes, rows, cols). tables: shape (1 or channels, planes, period[0] // 2 + 1, period[1] // 2 + 1) or
+    (1 or channels, planes, period[0], 2 (period[1] // 2 + 1)), entry (i, j) at the frequency (i / period[0],
+    j / period[1]) cycles per pixel. gains: shape (channels, planes).
+    border: "zero", "edge" or "reflect" (the outermost pixel is repeated); a scene with surroundings of its own passes
+    them in `planes`. period: transform lengths, at least
     (rows, cols). margin: pixels of the planes on each side that are surroundings and not in the result.
     Returns shape (channels, rows - 2 margin, cols - 2 margin).
     """
@@ -39,17 +42,20 @@ def blur(device, planes, tables, gains, border, period, margin=0):
     sums = None
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
-        extended = device.empty((size, *period))
-        device.launch("optics.blur", "extend", extended.shape, planes, extended, first, BORDERS[border], *before,
-                      rows, cols, *extended.shape)
-        spectra = fft.forward(device, extended)
+        spectra = fft.forward_extended(device, planes, first, size, border, period)
         pitch, half = spectra.shape[2], period[1] // 2 + 1
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
-        device.launch("optics.blur", "accumulate", (period[0], half), spectra, tables,
-                      device.array(gains[:, first : first + size]), sums, int(first == 0), first, count, own_tables,
-                      *(() if device.kind == "opencl" else (size, channels)), period[0], half, pitch,
-                      defines={"SIZE": size, "CHANNELS": channels})
+        some = device.array(gains[:, first : first + size])
+        arguments = (int(first == 0), first, count, own_tables,
+                     *(() if device.kind == "opencl" else (size, channels)), period[0], half, pitch)
+        defines = {"SIZE": size, "CHANNELS": channels}
+        if tables.shape[3] == half:
+            device.launch("optics.blur", "accumulate", (period[0], half), spectra, tables, some, sums, *arguments,
+                          defines=defines)
+        else:
+            device.launch("optics.blur", "accumulate_complex", (period[0], half), spectra, tables, some, sums,
+                          *arguments, defines=defines)
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
     device.launch("optics.blur", "crop", out.shape, blurred, out, *(n + margin for n in before), *out.shape, *period)
@@ -64,10 +70,19 @@ def cases():
     for rows, cols, count, channels, own, border, period, margin in (
             (1, 1, 1, 1, 0, "zero", (1, 1), 0), (3, 5, 3, 3, 1, "edge", (9, 15), 0),
             (63, 65, 31, 3, 0, "reflect", (81, 90), 0), (63, 65, 10, 4, 1, "zero", (128, 135), 0),
-            (20, 30, 9, 1, 0, "edge", (64, 60), 7), (4, 4, 2, 3, 0, "reflect", (32, 30), 0)):
+            (20, 30, 9, 1, 0, "edge", (64, 60), 7), (4, 4, 2, 3, 0, "reflect", (32, 30), 0),
+            (33, 30, 9, 3, 1, "edge", (45, 40), 0), (33, 30, 2, 1, 0, "zero", (40, 45), 3)):
         fy, fx = np.arange(period[0] // 2 + 1)[:, None] / period[0], np.arange(period[1] // 2 + 1) / period[1]
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
         tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        if rows == 33:  # kernels that are off their centres: complex tables
+            fy = np.fft.fftfreq(period[0])[:, None]
+            shifts = random.uniform(-2, 2, (2, *widths.shape))
+            phases = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
+            tables = (np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * phases).view(np.float64)
+            for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):  # what is its own opposite is real
+                for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
+                    tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
         yield Case(f"{rows}x{cols}, {count} planes, {channels} channels, {border}",

@@ -1,48 +1,9 @@
-"""The transforms are elsewhere (common/fft.py); these kernels extend, weight and sum, and crop, all memory-bound."""
+"""The transforms are elsewhere (common/fft.py); these kernels weight and sum, and crop, all memory-bound."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def reflected(i: int, n: int):  # mirrored with the outermost pixel repeated, however far outside
-    j = i % (2 * n)
-    if j < 0:
-        j += 2 * n
-    if j >= n:
-        j = 2 * n - 1 - j
-    return j
-
-
-@wp.kernel
-def extend(
-    # in:
-    planes: wp.array3d[float],
-    # out:
-    extended: wp.array3d[float],
-    # params:
-    first: int,
-    border: int,
-    before_y: int,
-    before_x: int,
-    # sizes:
-    rows: int,
-    cols: int,
-    size: int,
-    period_y: int,
-    period_x: int,
-):
-    k, y, x = wp.tid()
-    v = y - before_y
-    u = x - before_x
-    value = float(0.0)
-    if border == 2:
-        value = planes[first + k, reflected(v, rows), reflected(u, cols)]
-    elif border == 1 or (u >= 0 and u < cols and v >= 0 and v < rows):
-        value = planes[first + k, wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
-    extended[k, y, x] = value
 
 
 @wp.kernel
@@ -74,6 +35,41 @@ def accumulate(
         for k in range(size):
             weight = gains[c, k] * tables[own_tables * c, first + k, fold, x]
             total += weight * wp.vec2(spectra[k, y, x, 0], spectra[k, y, x, 1])
+        sums[c, y, x, 0] = total[0]
+        sums[c, y, x, 1] = total[1]
+
+
+@wp.kernel
+def accumulate_complex(
+    # in:
+    spectra: wp.array4d[float],
+    tables: wp.array4d[float],
+    gains: wp.array2d[float],
+    # out:
+    sums: wp.array4d[float],
+    # params:
+    is_first: int,
+    first: int,
+    count: int,
+    own_tables: int,
+    # sizes:
+    size: int,
+    channels: int,
+    period_y: int,
+    half_x: int,
+    pitch: int,
+):
+    y, x = wp.tid()
+    for c in range(channels):
+        total = wp.vec2(0.0, 0.0)
+        if is_first == 0:
+            total = wp.vec2(sums[c, y, x, 0], sums[c, y, x, 1])
+        for k in range(size):
+            table_re = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x]
+            table_im = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x + 1]
+            re = spectra[k, y, x, 0]
+            im = spectra[k, y, x, 1]
+            total += wp.vec2(table_re * re - table_im * im, table_re * im + table_im * re)
         sums[c, y, x, 0] = total[0]
         sums[c, y, x, 1] = total[1]
 

@@ -1,0 +1,69 @@
+"""OpenCL kernels on Warp's CUDA devices: the same text, as a native function of a Warp kernel.
+
+For kernels whose work-items share local memory, which Warp itself has only inside tiles (their transforms refuse
+lengths such as 1200). The text keeps to what both languages have, see kernels/common/fft.clh.
+"""
+
+# mypy: ignore-errors
+import linecache
+import re
+
+from gpusim.backends.opencl import stage_source
+
+# What OpenCL C calls otherwise than CUDA C++; a structure with operators in place of the vector type.
+DIALECT = """
+#define __kernel
+#define __global
+#define __constant
+#define __local __shared__
+#define restrict __restrict__
+#define barrier(fence) __syncthreads()
+#define get_local_id(axis) (int)threadIdx.x
+#define get_group_id(axis) (int)blockIdx.x
+#define PAIR(a, b) float2{a, b}
+#define QUAD(a, b) quad(a, b)
+struct __align__(8) float2 {
+    float x, y;
+    float2 operator+(const float2 b) const { return {x + b.x, y + b.y}; }
+    float2 operator-(const float2 b) const { return {x - b.x, y - b.y}; }
+    float2 operator*(const float b) const { return {x * b, y * b}; }
+    float2 &operator+=(const float2 b) { x += b.x; y += b.y; return *this; }
+};
+struct Kernels {
+float4 quad(const float2 a, const float2 b) { return make_float4(a.x, a.y, b.x, b.y); }
+"""
+
+
+def native_kernel(wp, stage, kernel, defines, ranks):
+    """Warp kernel that runs `kernel` of the stage's OpenCL file, launched over whole groups along one axis.
+
+    defines: compile-time constants; REGISTERS among them is the most that a work-item may use.
+    ranks: number of axes of each argument that is an array, None for the others.
+    """
+    text = _included(stage)
+    parameters = re.search(rf"__kernel void {kernel}\((.*?)\)\s*{{", text, re.DOTALL)[1]
+    parameters = [p.split() for p in re.sub(r"//.*", "", parameters).replace("*", " * ").split(",")]
+    names = [p[-1] for p in parameters]
+    calls = [f"({'float2' if 'float2' in p else 'float'} *){p[-1]}.data" if "*" in p else p[-1] for p in parameters]
+    kinds = [f"wp.array(dtype=float, ndim={rank})" if "*" in p else p[-2]
+             for p, rank in zip(parameters, ranks, strict=True)]
+    macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    used = re.findall(r"#define (\w+)", macros + DIALECT + text)
+    snippet = (f"\n{macros}{DIALECT}{text}\n}};\nKernels().{kernel}({', '.join(calls)});\n"
+               + "".join(f"#undef {name}\n" for name in used))
+    signature = ", ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
+    source = (f"@wp.func_native(snippet)\ndef native({signature}): ...\n\n"
+              f"@wp.kernel(module='unique', enable_backward=False, cuda_max_registers={defines.get('REGISTERS')})\n"
+              f"def {kernel}({signature}):\n"
+              f"    native({', '.join(names)})\n")
+    file = f"<{stage} {kernel} {hash(snippet)}>"
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file  # Warp reads its kernels' source
+    namespace = {"wp": wp, "snippet": snippet, "__name__": f"{__name__}.{kernel}"}
+    exec(compile(source, file, "exec"), namespace)
+    return namespace[kernel]
+
+
+def _included(stage):
+    """Text of the stage's OpenCL file with its includes in their places."""
+    text, folder = stage_source(stage)
+    return re.sub(r'#include "(.*)"', lambda found: (folder / found[1]).read_text(), text)

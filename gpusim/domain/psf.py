@@ -1,0 +1,129 @@
+"""Point spreads that are given as arrays, or by a formula other than diffraction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.special import erf
+
+from gpusim.domain.errors import BadData, OutOfRange
+
+
+@dataclass(frozen=True, eq=False)
+class PointSpread:
+    """Measured or traced point spreads, one per wavelength, each of energy 1; of one field point or of many.
+
+    wavelengths: [nm], increasing, shape (L,). values: shape (L, rows, cols), not negative; scaled to sum 1 here. The
+    ideal image point is at ((rows - 1) / 2, (cols - 1) / 2). spacing: distance of the samples [m].
+    integrated: whether the samples are the energies in pixels of that pitch; else they are samples of the irradiance
+    that the lens alone makes, fine enough to tell all of it: spacing <= lambda N / 2.
+    heights: field heights, rising from 0 to 1 at the frame's corner, shape (H,): values (H, L, rows, cols) are those of
+    field points on the side of growing columns, of a lens that is the same at every angle.
+    grid: or the field points' rows and columns, in the same unit, two rising lists of Y and X: values
+    (Y, X, L, rows, cols). Between field points, as between wavelengths, the spread is linear.
+    Raises BadData, OutOfRange.
+    """
+
+    wavelengths: np.ndarray
+    values: np.ndarray
+    spacing: float
+    integrated: bool = False
+    heights: np.ndarray | None = None
+    grid: tuple | None = None
+
+    def __post_init__(self):
+        wavelengths, values = np.asarray(self.wavelengths, np.float64), np.asarray(self.values, np.float64)
+        if self.heights is not None and self.grid is not None:
+            raise BadData("point spread: heights and grid are given; wanted one of them")
+        axes = [np.asarray(axis, np.float64) for axis in (self.grid or ([] if self.heights is None else
+                                                                        [self.heights]))]
+        for axis in axes:
+            if axis.ndim != 1 or not np.isfinite(axis).all() or not (np.diff(axis) > 0).all() or len(axis) < 2:
+                raise BadData(f"point spread: wanted two or more field points, increasing, got {axis}")
+        if self.heights is not None and axes[0][0] != 0:
+            raise BadData(f"point spread: the first field height is {axes[0][0]:g}, wanted 0")
+        if self.heights is not None and self.integrated:
+            raise BadData("point spread: energies of pixels do not turn with the field, as square pixels do not; give "
+                          "samples of the irradiance, or a grid of field points")
+        wanted = (*map(len, axes), len(wavelengths))
+        if values.ndim != len(wanted) + 2 or not values.size or values.shape[: len(wanted)] != wanted:
+            raise BadData(f"point spread: wanted ({', '.join(map(str, wanted))}, rows, cols) for {len(wavelengths)} "
+                          f"wavelengths, none of them 0, got shape {values.shape}")
+        if wavelengths.ndim != 1 or not np.isfinite(wavelengths).all() or not (np.diff(wavelengths) > 0).all():
+            raise BadData(f"point spread: wanted increasing wavelengths, got {wavelengths[:4]} ...")
+        if not np.isfinite(values).all():
+            raise BadData(f"point spread: {np.count_nonzero(~np.isfinite(values))} values are NaN or infinite")
+        if values.min() < 0:
+            raise BadData(f"point spread: {np.count_nonzero(values < 0)} values are negative, down to {values.min():g}")
+        sums = values.sum(axis=(-2, -1))
+        if not (sums > 0).all():
+            raise BadData(f"point spread: no energy at {wavelengths[np.argwhere(~(sums > 0))[0][-1]]:g} nm")
+        if not 0 < self.spacing < np.inf:
+            raise OutOfRange("point spread spacing", f"{self.spacing:.6g} m", "a positive length")
+        object.__setattr__(self, "wavelengths", wavelengths)
+        object.__setattr__(self, "values", values / sums[..., None, None])
+        object.__setattr__(self, "_axes", tuple(axes))
+
+    def at(self, y: float, x: float) -> np.ndarray:
+        """Point spreads of one field point, 1 the frame's corner, shape (L, rows, cols). Raises OutOfRange."""
+        if not self._axes:
+            return self.values
+        point = (y, x) if self.grid else (np.hypot(y, x),)
+        spreads = self.values
+        for axis, place in zip(self._axes, point, strict=True):
+            if not axis[0] - 1e-9 <= place <= axis[-1] + 1e-9:
+                raise OutOfRange("point spread field point", f"{place:.4g}",
+                                 f"{axis[0]:g} .. {axis[-1]:g}, the points that are given; 1 is the frame's corner")
+            share = np.interp(place, axis, np.arange(len(axis)))
+            low = min(int(share), len(axis) - 2)
+            spreads = spreads[low] * (1 - share + low) + spreads[low + 1] * (share - low)
+        if self.grid or (not y and x >= 0):
+            return spreads
+        (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
+        v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
+        # back into the table's frame, where the field point lies on +x
+        from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
+        turned = np.stack([map_coordinates(one, from_, order=3, mode="constant") for one in spreads])
+        return turned / turned.sum(axis=(1, 2), keepdims=True)
+
+
+def gaussian_kernel(sigma, radius) -> np.ndarray:
+    """Energy of a Gaussian of standard deviation `sigma` in unit pixels up to `radius` from its own, shape (n, n).
+
+    Exact: differences of the error function. Its sum is what falls into these pixels, not scaled to 1.
+    """
+    if not (0 < sigma < np.inf and radius >= 0):
+        raise OutOfRange("gaussian", f"sigma {sigma:g}, radius {radius}", "sigma > 0, radius >= 0")
+    edges = np.arange(-radius, radius + 2) - 0.5
+    line = np.diff(erf(edges / (np.sqrt(2) * sigma))) / 2
+    return np.outer(line, line)
+
+
+def pillbox_kernel(diameter) -> np.ndarray:
+    """Energy of an even disc in unit pixels about its centre, shape (n, n), n odd; sum 1.
+
+    Exact: areas of the disc below corners. Source: integral of the circle, sqrt(R^2 - x^2).
+    """
+    if not 0 < diameter < 1e4:
+        raise OutOfRange("pillbox diameter", f"{diameter:g} pixels", "0 < diameter < 1e4")
+    r = diameter / 2
+    reach = int(np.ceil(r - 0.5)) if r > 0.5 else 0
+    edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -r, r)
+    y, x = np.meshgrid(edges, edges, indexing="ij")
+    area = _disc_below(x, y, r)
+    return np.diff(np.diff(area, axis=0), axis=1) / (np.pi * r * r)
+
+
+def _disc_below(x, y, r):
+    """Area of the disc where its coordinates are below x and below y, both in -r .. r."""
+    def column(a, b):  # integral over a .. b of sqrt(r^2 - t^2)
+        def primitive(t):
+            return (t * np.sqrt(np.maximum(r * r - t * t, 0)) + r * r * np.arcsin(np.clip(t / r, -1, 1))) / 2
+        return primitive(b) - primitive(a)
+
+    w = np.sqrt(np.maximum(r * r - y * y, 0))  # the chord at y is -w .. w
+    left, right = np.minimum(x, -w), np.clip(x, -w, w)
+    # within the chord the strip goes from the lower arc to y; beside it, the whole disc for y > 0, nothing for y < 0
+    inside = column(-w, right) + y * (right + w)
+    beside = 2 * (column(-r, left) + column(w, np.maximum(x, w)))
+    return inside + np.where(y > 0, beside, 0)

@@ -1,0 +1,163 @@
+"""The exit pupil of a lens: the shape that lets light through, and the wavefront in it.
+
+Coordinates are those of the image: x along the columns, y along the rows (down), in units of the pupil's radius. The
+wavefront W(x, y) is in waves; its sign is that of Welford (Aberrations of Optical Systems, 1986, eq. 7.16): a ray
+through (x, y) meets the image at -2 lambda N grad W from the ideal point.
+"""
+
+from dataclasses import dataclass
+from math import comb, factorial
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+
+LONGEST_WAVEFRONT = 40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """A circle or a regular polygon inscribed in it, with a central circular obstruction.
+
+    blades: corners of the polygon, 3 .. 64, or 0 for a circle. obscuration: radius of the obstruction over that of the
+    (circumscribed) circle, to which the f-number refers. rotation: angle of the first corner from x towards y [rad].
+    Raises OutOfRange.
+    """
+
+    blades: int = 0
+    obscuration: float = 0.0
+    rotation: float = 0.0
+
+    def __post_init__(self):
+        if not (self.blades == 0 or 3 <= self.blades <= 64):
+            raise OutOfRange("optics.pupil.blades", self.blades, "0 (a circle) or 3 <= blades <= 64")
+        inner = np.cos(np.pi / self.blades) if self.blades else 1.0
+        if not 0 <= self.obscuration < inner:
+            raise OutOfRange("optics.pupil.obscuration", self.obscuration,
+                             f"0 <= obscuration < {inner:.4g}, the radius of the circle that fits in")
+        if not np.isfinite(self.rotation):
+            raise OutOfRange("optics.pupil.rotation", self.rotation, "a finite angle")
+
+    @property
+    def area(self) -> float:
+        """Open area over that of the circumscribed circle [1]: the share of a full circle's light that passes."""
+        n = self.blades
+        return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """Aberrations that are the same optical path for every wavelength.
+
+    zernike: Noll's coefficients from j = 1 on [waves RMS at `reference`], J of them, or H lists of J for the H field
+        heights `heights`, linear between them. Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).
+    heights: field heights of `zernike`, increasing, 1 at the corner; none if it is the same everywhere.
+    seidel: W040, W131, W222, W220, W311 (spherical aberration, coma, astigmatism, field curvature, distortion) at
+        field height 1 [waves at `reference`]: W = W040 r^4 + W131 h r^3 cos t + W222 h^2 r^2 cos^2 t + W220 h^2 r^2
+        + W311 h^3 r cos t, t from the direction of the field point. Source: Welford, chapter 7.
+    reference: wavelength [nm] at which the coefficients are counted in waves.
+    Raises BadData, OutOfRange.
+    """
+
+    zernike: tuple = ()
+    heights: tuple[float, ...] = ()
+    seidel: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    reference: float = 550.0
+
+    def __post_init__(self):
+        zernike, heights = np.asarray(self.zernike, np.float64), np.asarray(self.heights, np.float64)
+        seidel = tuple(float(value) for value in self.seidel)
+        if zernike.ndim != (2 if heights.size else 1) or (heights.size and zernike.shape[0] != heights.size):
+            raise BadData(f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
+                          "or one per height")
+        if heights.ndim != 1 or not (np.isfinite(heights).all() and (np.diff(heights) > 0).all()):
+            raise BadData("optics.zernike: field heights must increase")
+        if zernike.shape[-1] > 66:
+            raise OutOfRange("optics.zernike", f"{zernike.shape[-1]} coefficients", "up to 66 (radial order 10)")
+        if len(seidel) != 5:
+            raise BadData(f"optics.seidel: wanted W040, W131, W222, W220, W311, got {len(seidel)} numbers")
+        if not (np.abs(zernike).sum(-1).max(initial=0) <= LONGEST_WAVEFRONT
+                and np.abs(seidel).sum() <= LONGEST_WAVEFRONT):  # also refuses NaN
+            raise OutOfRange("optics wavefront", "more", f"up to {LONGEST_WAVEFRONT:g} waves in all")
+        if not 100 <= self.reference <= 100000:
+            raise OutOfRange("optics.reference_nm", self.reference, "100 <= reference_nm <= 100000")
+        rows = tuple(map(tuple, zernike.tolist())) if heights.size else tuple(zernike.tolist())
+        for name, value in (("zernike", rows), ("heights", tuple(heights.tolist())), ("seidel", seidel)):
+            object.__setattr__(self, name, value)
+
+    def polynomial(self, height: float = 0.0, azimuth: float = 0.0) -> np.ndarray:
+        """Coefficients [i, j] of x^i y^j [waves at `reference`] at one field point, shape (n, n).
+
+        height: 1 at the corner. azimuth: direction of the field point from the image centre, from x towards y [rad].
+        Both kinds of coefficients are those of a lens that is symmetric about its axis: at other azimuths they turn.
+        """
+        zernike = np.array(self.zernike)
+        if self.heights:
+            zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
+        w040, w131, w222, w220, w311 = self.seidel
+        h = height
+        total = _padded(len(zernike))
+        total[:5, :5] += w040 * disc_power(2) + w220 * h**2 * np.pad(disc_power(1), (0, 2))
+        total[1, 0] += w311 * h**3
+        total[2, 0] += w222 * h**2
+        total[3, 0] += w131 * h
+        total[1, 2] += w131 * h
+        for j, weight in enumerate(zernike, start=1):
+            if weight:
+                term = noll(j)
+                total[: len(term), : len(term)] += weight * term
+        return _turned(total, azimuth) if azimuth else total
+
+
+def disc_power(k) -> np.ndarray:
+    """Coefficients [i, j] of x^i y^j of (x^2 + y^2)^k, shape (2 k + 1, 2 k + 1)."""
+    table = np.zeros((2 * k + 1, 2 * k + 1))
+    for i in range(k + 1):
+        table[2 * i, 2 * (k - i)] = comb(k, i)
+    return table
+
+
+def symmetric(pupil: Pupil, waves) -> bool:
+    """Whether pupil and wavefronts look the same at every angle: the transfer function is then real and radial."""
+    order = waves.shape[-1]
+    turned = np.zeros_like(waves)
+    for k in range((order - 1) // 2 + 1):
+        turned[:, : 2 * k + 1, : 2 * k + 1] += waves[:, 2 * k, 0, None, None] * disc_power(k)
+    error, size = np.abs(turned - waves).max(initial=0), np.abs(waves).max(initial=0)
+    return pupil.blades == 0 and bool(error < 1e-12 * max(1, size))
+
+
+def noll(j) -> np.ndarray:
+    """Coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, of mean square 1 over the unit disc."""
+    n = int((np.sqrt(8 * j - 7) - 1) / 2)
+    rank = j - n * (n + 1) // 2 - 1  # place among the n + 1 polynomials of order n
+    m = 2 * ((rank + 1) // 2) if n % 2 == 0 else 2 * (rank // 2) + 1
+    table = np.zeros((n + 1, n + 1))
+    norm = np.sqrt((n + 1) * (2 if m else 1))
+    for s in range((n - m) // 2 + 1):  # R = sum of c r^(n - 2 s); r^m cos m t = Re (x + i y)^m, sine = Im
+        c = (-1) ** s * factorial(n - s) / (factorial(s) * factorial((n + m) // 2 - s) * factorial((n - m) // 2 - s))
+        radial = disc_power((n - m) // 2 - s)
+        for k in range(m + 1):
+            if (k % 2 == 1) == (m > 0 and j % 2 == 1):  # even j: cosine (even powers of y), odd j: sine
+                sign = (-1) ** (k // 2)
+                for a, b in zip(*np.nonzero(radial), strict=True):
+                    table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]
+    return table
+
+
+def _padded(count):
+    """Room for Seidel terms and `count` Zernike polynomials."""
+    order = int((np.sqrt(8 * max(count, 1) - 7) - 1) / 2)
+    return np.zeros((max(order, 4) + 1,) * 2)
+
+
+def _turned(table, angle):
+    """The polynomial of coordinates turned by -`angle`: what pointed along x points along the angle."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    out = np.zeros_like(table)
+    for i, j in zip(*np.nonzero(table), strict=True):  # (cos x + sin y)^i (-sin x + cos y)^j
+        for a in range(i + 1):
+            for b in range(j + 1):
+                weight = comb(i, a) * cos ** (i - a) * sin**a * comb(j, b) * (-sin) ** (j - b) * cos**b
+                out[i - a + j - b, a + b] += table[i, j] * weight
+    return out

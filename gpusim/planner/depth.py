@@ -1,0 +1,467 @@
+"""From a depth map to kernels and layers: what is out of focus by how much, and what hides what.
+
+Within a surface, each point's light is spread by the kernel of its own distance. Kernels are computed for a few
+distances, spaced so that cubic interpolation between them keeps a stated error; a pixel's light is shared among the
+four nearest. That leaves out that near things hide far ones: where the circle of confusion jumps by more than about a
+pixel, it errs by percents. There the picture is cut into layers, each blurred together with its coverage and laid over
+what is farther (Barsky and Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics", 2008).
+Cuts are placed where they remove the most predicted error.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.special import jv
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.optics import Optics
+from gpusim.domain.scene import Basis, Cube, Layer, Materials, Scene
+from gpusim.domain.spectrum import Spectrum
+
+MOST_KERNELS = 64
+MOST_LAYERS = 16
+JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
+STEP = 0.25  # [pixel] of circle of confusion between the places where the picture may be cut
+TOLERANCE = 1e-4  # relative root mean square error where none is asked for
+
+
+def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength: float = 550.0):
+    """Signed diameter of the blur disc of a point at `distance` [m]; > 0 for points beyond the plane in focus.
+
+    pitch: of the pixels [m], for a result in pixels; in metres without it. distance: any shape. wavelength: [nm], of
+    the defocus if that depends on it. Thin lens of aperture f / N: c = (f / N) s (1 / d0 - 1 / d) for the plane d0 in
+    focus, s the image distance, so c is linear in dioptres; a displaced sensor adds displacement / (N s / f).
+    Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
+    """
+    diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
+    return (optics.displacement(1.0) * diopters + _defocus(optics, wavelength)) / (optics.working_f_number * pitch)
+
+
+def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
+    """Distance [m] whose `circle_of_confusion` is `confusion`; infinite or negative beyond what has an image."""
+    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch) - _defocus(optics, wavelength)
+    with np.errstate(divide="ignore"):
+        return 1 / (1 / optics.object_distance - shift / optics.image_distance**2)
+
+
+def _defocus(optics, wavelength):
+    shift = optics.defocus
+    return float(shift.at(np.array([wavelength]), outside=None)[0]) if isinstance(shift, Spectrum) else float(shift)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthPlan:
+    """How a picture with depth is blurred.
+
+    distances: at which kernels are computed [m], increasing, shape (P,). kernels: their signed circles of confusion
+    [pixel], shape (P,). confusion: that of every pixel, shape (rows, cols). layer: of each pixel, 0 the nearest,
+    uint8 (rows, cols). layers: how many. model: in words. predicted: relative root mean square errors, of this choice
+    and of the other. sheets: content, coverage and circles of confusion of each layer, where the scene gives them.
+    """
+
+    distances: np.ndarray
+    kernels: np.ndarray
+    confusion: np.ndarray
+    layer: np.ndarray
+    layers: int
+    model: str
+    predicted: dict = field(default_factory=dict)
+    sheets: tuple = ()
+
+    @property
+    def reach(self) -> float:
+        """Radius of the largest circle of confusion [pixel]."""
+        return float(np.abs(self.kernels).max() / 2)
+
+    def sheet(self, layer: int, content):
+        """Content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
+
+        content: the picture's, for what follows from it. A layer that the scene gives is as given.
+
+        What a nearer layer hides is unknown from one picture: the nearest pixel that is not of a nearer layer goes on
+        there. The farthest layer so covers everything; another one ends behind a nearer one where a farther is closer.
+        """
+        if self.sheets:
+            return self.sheets[layer]
+        nearer = self.layer < layer
+        if not nearer.any():
+            return content, self.layer == layer, self.confusion
+        rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True)
+        return moved(content, rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
+
+    def shares(self, coverage, confusion):
+        """Kernels of a layer and each pixel's share in them: pairs (kernel, share float32 (rows, cols)).
+
+        coverage, confusion: what `sheet` gave. The shares of a pixel add up to its coverage.
+        """
+        there = coverage > 0
+        first, count = _stencil(self.kernels, confusion)
+        for kernel in range(len(self.kernels)):
+            some = there & (first <= kernel) & (kernel < first + count)
+            if not some.any():
+                continue
+            at, start = confusion[some], first[some]
+            weight = np.array(coverage[some], np.float64)
+            for other in (start + i for i in range(count)):  # Lagrange's polynomials
+                apart = self.kernels[kernel] - self.kernels[other]
+                weight *= np.where(other == kernel, 1, (at - self.kernels[other]) / np.where(apart == 0, 1, apart))
+            share = np.zeros(confusion.shape, np.float32)
+            share[some] = weight
+            if share.any():
+                yield kernel, share
+
+
+def moved(content: Cube | Basis | Materials, rows, cols) -> Cube | Basis | Materials:
+    """Content of which each sample is that at (rows, cols), two arrays (rows, cols)."""
+    if isinstance(content, Materials):
+        return replace(content, ids=content.ids[rows, cols], shading=content.shading[rows, cols])
+    if isinstance(content, Cube):
+        return replace(content, values=content.values[:, rows, cols])
+    return replace(content, coefficients=content.coefficients[:, rows, cols])
+
+
+def flattened(scene: Scene):
+    """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half."""
+    content, depth = scene.content, scene.depth
+    for layer in reversed(scene.layers):
+        front = np.asarray(layer.alpha) >= 0.5
+        depth = np.where(front, layer.depth, depth)  # type: ignore[arg-type]  # Scene has checked
+        keys = {Materials: ("ids", "shading"), Cube: ("values",), Basis: ("coefficients",)}[type(content)]
+        content = replace(content, **{key: np.where(front, getattr(layer.content, key), getattr(content, key))
+                                      for key in keys})
+    return content, depth
+
+
+def plan_depth(optics: Optics, pitch: float, depth, brightness, tolerance: float | None = None,
+               layered: bool | None = None, scene: Scene | None = None) -> DepthPlan:
+    """Choose kernels and layers for one picture.
+
+    pitch: of the pixels [m]. depth: distance of every pixel [m], shape (rows, cols). brightness: what the sensor would
+    see of every pixel without blur, any unit, same shape: where it is even, blur does not matter.
+    tolerance: relative root mean square error that is asked for; kernels take a quarter of it. layered: whether to use
+    layers, instead of deciding it. scene: with layers of its own, of which depth and brightness are `flattened`.
+    Raises BadData, OutOfRange (a distance without an image, too many kernels).
+    """
+    tolerance = tolerance or TOLERANCE
+    depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
+    confusion = checked_confusion(optics, pitch, depth, light.shape)
+    sheets = _sheets(scene, optics, pitch) if scene is not None and scene.layers else ()
+    every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets]) if sheets else confusion
+    low, high = float(every.min()), float(every.max())
+    power = float(np.mean(light**2)) or 1.0
+    contrast = np.sqrt(sum(float(np.mean(np.diff(light, axis=axis) ** 2)) for axis in (0, 1) if light.shape[axis] > 1)
+                       / power)
+    q = 550e-9 * optics.working_f_number / pitch
+    distinct = np.unique(every)
+    nodes = distinct if len(distinct) <= 4 else kernel_nodes(low, high, contrast, tolerance / 4, q)
+    nodes = distinct if len(distinct) <= len(nodes) else nodes
+    if len(nodes) > MOST_KERNELS:
+        raise OutOfRange("depth", f"circles of confusion of {low:.4g} .. {high:.4g} pixels, which need {len(nodes)} "
+                         f"kernels for an error of {tolerance:.2g}",
+                         f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth")
+    edges = _Edges.of(confusion, light)
+    plain = edges.plain(light, power)
+    span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
+    predicted = {"depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
+                 "depth, slopes of surfaces": edges.slopes(light, power)}
+    if sheets:
+        predicted |= {"depth, in layers that are given": edges.given(light, power), "depth, if without layers": plain}
+        return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, np.zeros(light.shape, np.uint8),
+                         len(sheets), f"{len(sheets)} layers that are given; {span}", predicted, sheets)
+    cuts = edges.cuts(low, high, tolerance**2 * power * light.size)
+    in_layers = edges.layered(cuts, light, power)
+    if layered is None:
+        layered = plain > tolerance and in_layers < plain
+    cuts = cuts if layered else np.empty(0)
+    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)  # some may have no pixel
+    layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
+    if layered:
+        model = f"{count} layers by depth; {span}"
+        predicted |= {"depth, in layers (what they hide is continued)": in_layers, "depth, if without layers": plain}
+    else:
+        model = f"by depth, without layers; {span}"
+        predicted |= {"depth, occlusion left out": plain, "depth, if in layers": in_layers}
+    return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, layer, count, model, predicted)
+
+
+def _sheets(scene, optics, pitch):
+    """The layers that a scene gives, the background last, as `DepthPlan.sheet` returns them. Raises OutOfRange."""
+    if len(scene.layers) >= MOST_LAYERS:
+        raise OutOfRange("scene.layers", len(scene.layers), f"up to {MOST_LAYERS - 1}")
+    shape = np.shape(scene.depth)
+    behind = Layer(scene.content, np.ones(shape, np.float32), scene.depth)
+    return tuple((layer.content, np.asarray(layer.alpha), checked_confusion(
+        optics, pitch, np.broadcast_to(layer.depth, shape).astype(np.float64), shape))
+        for layer in (*scene.layers, behind))
+
+
+def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
+    """Circle of confusion of every pixel [pixel], of a depth map that has been checked. Raises BadData, OutOfRange."""
+    if depth.shape != tuple(shape):
+        raise BadData(f"depth {depth.shape} does not match the scene {tuple(shape)}")
+    if not np.isfinite(depth).all():
+        raise BadData(f"depth: {np.count_nonzero(~np.isfinite(depth))} values are NaN or infinite; "
+                      "give the sky a large distance, such as 1e6 m")
+    if not depth.min() > optics.focal_length:
+        raise OutOfRange("depth", f"{depth.min():.4g} m", f"more than the focal length ({optics.focal_length:.4g} m): "
+                         "nearer points have no image")
+    return circle_of_confusion(optics, depth, pitch)
+
+
+def kernel_nodes(low: float, high: float, contrast: float, tolerance: float, q: float = 1.0) -> np.ndarray:
+    """Circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
+
+    Kernels are as far apart as the fourth root of the fourth derivative allows; one is enough where the first is small.
+    contrast: root mean square difference of neighbouring pixels over that of the picture. q: wavelength times f-number
+    over pitch.
+    """
+    grid = np.linspace(low, high, 16 * int(np.ceil(high - low)) + 17)
+    one = grid[len(grid) // 2 : len(grid) // 2 + 1]
+    if contrast * _between(one, grid, q) <= tolerance:
+        return one
+    steps = np.append(0, np.cumsum(np.diff(grid) * _derivative(4, grid[1:], q) ** 0.25))
+    count = 4
+    while True:
+        nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
+        if count > MOST_KERNELS or contrast * _between(nodes, grid, q) <= tolerance:
+            return nodes
+        count += 1 + count // 8
+
+
+def _stencil(nodes, confusion):
+    """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
+    count = min(4, len(nodes))
+    return np.clip(np.searchsorted(nodes, confusion, "right") - count // 2, 0, len(nodes) - count), count
+
+
+def _between(nodes, confusion, q):
+    """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
+
+    It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
+    times the first.
+    """
+    first, count = _stencil(nodes, confusion)
+    error = _derivative(count, confusion, q)
+    for i in range(count):
+        error = error * (confusion - nodes[first + i]) / (i + 1)
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _derivative(order, confusion, q):
+    """Root of the integral over frequency of P(f) |d^n T / dc^n|^2 at circles of confusion c [pixel], n = 1 or 4.
+
+    T is folded as in `optics.pupil`, O = 2 J1(v) / v with v = pi c f (1 - s), s = f over the cut-off, times what
+    diffraction without defocus and the pixel leave (Stokseth, J. Opt. Soc. Am. 59, 1314 (1969)). With F_n =
+    J_n(v) / v^n, whose derivative is -v F_(n+1), O' = -2 v F_2 and the fourth is 6 F_3 - 12 v^2 F_4 + 2 v^4 F_5.
+    P = 1 / (4 sin^2 + 4 sin^2) is the power of white differences between neighbours.
+    """
+    known, values = _derivative_table(order, round(float(np.clip(q, 0.2, 3)), 2))
+    return np.exp(np.interp(np.log(1 + np.abs(confusion)), known, values))
+
+
+@lru_cache(maxsize=8)
+def _derivative_table(order, q):
+    known = np.linspace(np.log(1.05), np.log(1 + 512), 64)
+    f = (np.arange(20) + 0.5) / 40
+    power = 1 / (4 * np.sin(np.pi * f[:, None]) ** 2 + 4 * np.sin(np.pi * f) ** 2)
+    reach = int(np.ceil(1 / q + 0.5))
+    all_f = (np.arange(-reach, reach + 1)[:, None] + f).ravel()
+    radius = np.hypot(all_f[:, None], all_f)
+    s = np.minimum(radius * q, 1)
+    passed = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(all_f[:, None]) * np.sinc(all_f)
+    rate = np.pi * radius * (1 - s)
+    v = np.arange(0.05, 512 * rate.max() + 0.1, 0.05)
+    derivative = -2 * jv(2, v) / v if order == 1 else 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
+    values = []
+    for confusion in np.expm1(known):
+        some = passed * rate**order * np.interp(confusion * rate, v, derivative)
+        folded = some.reshape(2 * reach + 1, len(f), 2 * reach + 1, len(f)).sum(axis=(0, 2))
+        values.append(0.5 * np.log(np.mean(power * folded**2)))
+    return known, np.array(values)
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Neighbouring pixels of different circles of confusion; arrays (n,), the nearer pixel's first.
+
+    near, far: signed circles of confusion [pixel]. light_near, light_far: brightness. lags, variation: mean square
+    difference of brightness at these distances [pixel] within a surface.
+    """
+
+    near: np.ndarray
+    far: np.ndarray
+    light_near: np.ndarray
+    light_far: np.ndarray
+    lags: np.ndarray
+    variation: np.ndarray
+
+    @classmethod
+    def of(cls, confusion, light):
+        """All pairs along rows and columns."""
+        pairs = []
+        for axis in (0, 1):
+            one, two = (np.take(a, range(a.shape[axis] - 1), axis).ravel() for a in (confusion, light))
+            other, its = (np.take(a, range(1, a.shape[axis]), axis).ravel() for a in (confusion, light))
+            swap = one > other
+            unequal = one != other
+            pairs.append([np.where(swap, b, a)[unequal] for a, b in ((one, other), (other, one), (two, its),
+                                                                      (its, two))])
+        lags = [2**k for k in range(12) if 2**k < max(light.shape)]
+        return cls(*map(np.concatenate, zip(*pairs, strict=True)), np.array([0, *lags]),
+                   np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]))
+
+    @property
+    def jumps(self):
+        """Which of the pairs are edges."""
+        return self.far - self.near > JUMP
+
+    def plain(self, light, power):
+        """Relative error where light is spread by depth alone, and divided by what even light would give.
+
+        At an edge between even surfaces f before b the picture is E_f I_f + (1 - E_f) I_b, E the edge spread of a disc;
+        without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f - E_b). Besides, each point of the pupil sees other
+        parts of b than it should: the covariance of that with what b varies by.
+        """
+        if not self.jumps.any():
+            return 0.0
+        return float(np.sqrt(self._plain().sum() / (power * light.size)))
+
+    def slopes(self, light, power):
+        """Relative error on surfaces that slope, where the kernel of the point that is seen stands for the pixel's.
+
+        A pixel sees the surface at y = x + r(y) u, u even in the pupil: in terms of y its kernel is that of the point
+        times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] = 1/4). Of gradients of a 1/f picture a
+        disc of radius r leaves about 0.75 / r.
+        """
+        some = ~self.jumps
+        moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
+        return float(np.sqrt(((moved * (self.light_near - self.light_far)[some]) ** 2).sum() / (power * light.size)))
+
+    def _plain(self):
+        some = self.jumps
+        near, far = self.near[some] / 2, self.far[some] / 2
+        step = (self.light_near - self.light_far)[some] ** 2
+        return np.hypot(near, far) * (step * _edge("plain", near, far) + self._hidden(near, far)
+                                      + self._covariance(far) * _edge("differs", near, far))
+
+    def _hidden(self, near, far):
+        """Squared error of what is hidden, if it is guessed from what is visible beside it.
+
+        It errs as much as pixels a lag apart differ, half the sum of the radii; the far kernel averages that over its
+        chord, of which pieces a lag long are independent.
+        """
+        lag = (np.abs(near) + np.abs(far)) / 2
+        guess = np.interp(lag, self.lags, self.variation) / (1 + 2 * np.abs(far) / np.maximum(lag, 1e-9))
+        return guess * _edge("hidden", near, far)
+
+    def given(self, light, power):
+        """Relative error of layers of which nothing has to be guessed: `_layered` without what is hidden."""
+        near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
+        left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
+        return float(np.sqrt(left.sum() / (power * light.size)))
+
+    def _layered(self, some):
+        """Squared error of pairs in different layers: what is hidden is guessed, and the product is an approximation.
+
+        The product of transmission and background is exact where one of the two is in focus; otherwise their covariance
+        over the pupil is left out.
+        """
+        near, far = self.near[some] / 2, self.far[some] / 2
+        jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
+        return np.hypot(near, far) * (np.where(jump, self._hidden(near, far), 0)
+                                      + self._covariance(far) * _edge("covariance", near, far))
+
+    def _covariance(self, radius):
+        """Squared covariance of a background within a disc with half of the disc, over the variance of that half.
+
+        A background varies by half its structure function at 0.9 radii, the mean distance of two points of a disc; for
+        gradients of all directions 36 % of that goes with the half, and of 1/f pictures gradients are two thirds.
+        """
+        return 0.36 * 2 / 3 * np.interp(0.9 * np.abs(radius), self.lags, self.variation) / 2
+
+    def cuts(self, low, high, enough):
+        """Circles of confusion at which to cut into layers, increasing; the squared error left is below `enough`.
+
+        One by one, each where it removes the most: the error without layers of the edges that it cuts, less the error
+        with layers of these and of the surfaces that it cuts.
+        """
+        some = self.jumps
+        if not some.any():
+            return np.empty(0)
+        count = int(np.ceil((high - low) / STEP))
+        first, last = (np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far))
+        smooth = (first != last) & ~some
+        cost = _covering(first[smooth], last[smooth], self._layered(smooth), count)
+        plain, layered = self._plain(), self._layered(some)
+        first, last = first[some], last[some]
+        cut = np.zeros(len(plain), bool)
+        found: list[int] = []
+        while len(found) < MOST_LAYERS - 1 and plain[~cut].sum() > enough:
+            gain = _covering(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
+            best = int(np.argmax(gain))
+            if not gain[best] > 0:
+                break
+            same = np.flatnonzero(gain < gain[best] * (1 - 1e-9))  # the middle of all that are as good
+            best = (best + min((i for i in same if i > best), default=count) - 1) // 2
+            cut |= (first < best) & (last >= best)
+            found.append(best)
+        return low + STEP * np.sort(np.array(found, float))
+
+    def layered(self, cuts, light, power):
+        """Relative error where the picture is cut at `cuts`: of what is cut, and of the edges that are not."""
+        apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
+        left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
+        return float(np.sqrt((left + self._layered(apart).sum()) / (power * light.size)))
+
+
+def _variation(confusion, light, lag):
+    """Mean square difference of brightness of pixels `lag` apart along rows or columns on one surface."""
+    total, count = 0.0, 0
+    for axis in (0, 1):
+        if light.shape[axis] > lag:
+            before, after = (tuple(slice(None) if a != axis else part for a in (0, 1))
+                             for part in (slice(None, -lag), slice(lag, None)))
+            same = np.abs(confusion[after] - confusion[before]) <= JUMP
+            total += float((((light[after] - light[before]) ** 2) * same).sum())
+            count += int(same.sum())
+    return total / max(count, 1)
+
+
+def _covering(first, last, values, count):
+    """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
+    steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[:count]
+    return np.cumsum(steps)
+
+
+def _edge(what, near, far):
+    """Integral across a straight edge, over the root of the sum of the squared radii, which are signed."""
+    angles, tables = _edge_tables()
+    return np.interp(np.arctan2(np.abs(far), np.abs(near) * np.where(near * far < 0, -1, 1)), angles, tables[what])
+
+
+@lru_cache(maxsize=1)
+def _edge_tables():
+    """Integrals over t of squared errors for radii (cos, sin) of an angle: see `_Edges`.
+
+    plain: of even surfaces. hidden: share of a pixel's light that is guessed. covariance: variance over the pupil of
+    what hides; differs: of where that is wrong when b's kernel is taken for f's.
+    """
+    angles = np.linspace(0, np.pi, 257)
+    t = (np.arange(4000) + 0.5) / 2000 - 1
+    tables = {"plain": [], "hidden": [], "covariance": [], "differs": []}
+    for angle in angles:
+        near, far = (_edge_spread(t, abs(radius)) for radius in (np.cos(angle), np.sin(angle)))
+        more = near - far
+        wrong = np.abs(more) if angle <= np.pi / 2 else np.where(t > 0, 2 - near - far, near + far)
+        for name, value in (("plain", (more * near / (1 + more)) ** 2), ("hidden", ((1 - near) * far) ** 2),
+                            ("covariance", near * (1 - near)), ("differs", wrong - more**2)):
+            tables[name].append(2 * np.mean(value))
+    return angles, {name: np.array(values) for name, values in tables.items()}
+
+
+def _edge_spread(t, radius):
+    """Image of an edge, bright at t > 0, blurred by an even disc."""
+    x = np.clip(t / max(radius, 1e-9), -1, 1)
+    return 0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi

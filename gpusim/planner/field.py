@@ -1,0 +1,287 @@
+"""Blur that varies over the field, as a sum of few convolutions: overlap-add of kernels, or eigen-kernels.
+
+A lens is a function `lens(places)` that gives the kernels at `places`, (row, column) of source pixels, shape (n, 2):
+float64 (n, planes, m, m), m odd, those of one plane with the same sum everywhere (one; or zero, for differences from a
+kernel that all places share). Both methods give the maps, kernels and tiles of the stage
+`optics.field`, and say what image error they leave, which is always computed from kernels they have not used.
+
+The error is that of the image of a natural scene, of amplitude spectrum 1/|f| and RMS contrast c over a window of m
+pixels: for a difference D of kernels c / sqrt(1 + c^2) sqrt(sum |D(f)|^2 W^2 / sum W^2), W = 1 / max(|f|, 1 / (2 m)),
+the sums without f = 0 (the mean is kept). It takes for granted that the field varies little within
+one kernel: true of frames of megapixels; a frame of 270 rows has up to four times this error where a centroid moves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import BSpline, RectBivariateSpline
+
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+
+PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
+CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
+PROBES = 48  # places where a model is compared with the lens
+SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
+MOST_TERMS = 40
+GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))  # each holds the places of those before and of SAMPLES
+
+Lens = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldBlur:
+    """Inputs of the stage `optics.field`, with their error and cost.
+
+    method: "overlap-add" or "eigen-kernels". maps: makes the coefficients, when they are needed. kernels: shape
+    (kernels, planes, m, m). index: kernel of each tile's terms, shape (tiles, terms). edges: the tiles' boundaries
+    along rows and columns [source pixel]. error: relative RMS of a natural image, root mean square and largest over
+    the probed places. convolutions: how many kernels a pixel's light goes through. cost: arithmetic of the transforms
+    per plane and frame [flop].
+    """
+
+    method: str
+    maps: Callable[[], np.ndarray]
+    kernels: np.ndarray
+    index: np.ndarray
+    edges: tuple[np.ndarray, ...]
+    error: tuple[float, float]
+    convolutions: int
+    cost: float
+
+    @cached_property
+    def coefficients(self) -> np.ndarray:
+        """Weight of each term for each source pixel, float64, shape (terms, rows, cols)."""
+        return self.maps()
+
+    @property
+    def stage_inputs(self) -> dict:
+        """Keyword arguments of `optics.field`, as the devices want them."""
+        return {"coefficients": self.coefficients.astype(np.float32), "kernels": self.kernels.astype(np.float32),
+                "index": self.index.astype(np.int32), "edges": self.edges}
+
+    @property
+    def report(self) -> str:
+        """One line of what a user should know."""
+        return (f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
+                f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place")
+
+
+def choose(lens: Lens, shape, tolerance: float, fft_length) -> FieldBlur:
+    """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does.
+
+    fft_length: function that gives the next transform length of the kernels.
+    """
+    probes = _probes(shape)
+    truth = _kernels(lens, probes)
+    candidates = [eigen_kernels(lens, shape, fft_length, tolerance=tolerance, truth=(probes, truth))]
+    for grid in GRIDS:
+        if min(np.array(shape) - grid) < 0:
+            break
+        blur = overlap_add(lens, shape, grid, fft_length, truth=(probes, truth))
+        candidates.append(blur)
+        # finer grids cost more: enough, or already dearer than what is good enough
+        if blur.error[0] <= tolerance or (candidates[0].error[0] <= tolerance and blur.cost > candidates[0].cost):
+            break
+    good = [blur for blur in candidates if blur.error[0] <= tolerance]
+    return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=lambda blur: blur.error[0])
+
+
+def overlap_add(lens: Lens, shape, grid, fft_length, window="quadratic", truth=None) -> FieldBlur:
+    """Kernels on a grid of places, mixed for each source pixel by weights that sum to one.
+
+    shape: (rows, cols) of the frame. grid: kernels along the rows and columns, corner to corner, each >= 2. truth:
+    (places, kernels) to take the error from. window: how kernels are interpolated between the grid's places,
+      "bilinear"   4 terms, the cheapest at 1e-3; but where a kernel's centre of gravity moves with the field, its speed
+                   jumps from cell to cell, and a flat field has steps there: second differences of 2e-4 for a mild lens
+                   on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
+      "cosine"     4 terms, sin^2 instead of a ramp: steps of 2e-5 and 2e-4, twice the error;
+      "quadratic"  9 terms, B-splines through the kernels: steps below 1e-5, a seventh of the error; "cubic" has 16.
+    Source: Hirsch et al., CVPR 2010 (efficient filter flow), for the first two.
+    Raises BadData, OutOfRange, UnknownName.
+    """
+    for size, count in zip(shape, grid, strict=True):
+        if not 2 <= count <= max(size, 2):
+            raise OutOfRange("field grid", f"{grid[0]} x {grid[1]}",
+                             f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns")
+    axes = [_Window(size, count, window) for size, count in zip(shape, grid, strict=True)]
+    places = np.stack(np.meshgrid(axes[0].nodes, axes[1].nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    kernels = _kernels(lens, places)
+    reach = kernels.shape[-1] // 2
+    through = kernels.reshape(*grid, -1)
+    for axis, one in enumerate(axes):
+        first = np.moveaxis(through, axis, 0)
+        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1)).reshape(first.shape)
+        through = np.moveaxis(solved, 0, axis)
+    kernels = through.reshape(kernels.shape)
+    along_y, along_x = (one.at(np.arange(size))[1] for one, size in zip(axes, shape, strict=True))
+    terms = along_y.shape[1] * along_x.shape[1]
+    tiles = [len(one.knots) - 1 for one in axes]
+    corner = np.arange(tiles[0])[:, None] * grid[1] + np.arange(tiles[1])
+    steps = (np.arange(along_y.shape[1])[:, None] * grid[1] + np.arange(along_x.shape[1])).ravel()
+    index = (corner[..., None] + steps).reshape(-1, terms)
+    edges = tuple(np.array([-reach, *np.ceil(one.knots[1:-1]).astype(int), size + reach])
+                  for one, size in zip(axes, shape, strict=True))
+    probes, wanted = _truth(lens, shape, truth)
+    (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
+    weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
+    mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
+    return FieldBlur("overlap-add", lambda: np.einsum("ya,xb->abyx", along_y, along_x).reshape(terms, *shape),
+                     kernels, index, edges, image_error(mixed, wanted), terms,
+                     _cost(edges, reach, terms, fft_length))
+
+
+class _Window:
+    """Interpolation along one axis of `size` pixels from `count` nodes, end to end.
+
+    nodes: places of the kernels. knots: boundaries of the cells. collocation: shape (count, count), nodes' values from
+    the coefficients.
+    """
+
+    def __init__(self, size, count, window):
+        degrees = {"bilinear": 1, "cosine": 1, "quadratic": 2, "cubic": 3}
+        if window not in degrees:
+            raise UnknownName("field window", window, degrees)
+        self.cosine, self.degree = window == "cosine", min(degrees[window], count - 1)
+        self.nodes = np.linspace(0, max(size - 1, 1), count)
+        inner = self.nodes[1:-1]
+        if self.degree == 2:
+            inner = (self.nodes[1:-2] + self.nodes[2:-1]) / 2
+        elif self.degree == 3:  # "not a knot": the first and last two cells are one
+            inner = self.nodes[2:-2]
+        self.knots = np.array([self.nodes[0], *inner, self.nodes[-1]])
+        self._padded = np.pad(self.knots, self.degree, mode="edge")
+        self.collocation = BSpline.design_matrix(self.nodes, self._padded, self.degree).toarray()
+
+    def at(self, pixels):
+        """Cell of each pixel, and the weights of its degree + 1 kernels, which sum to one."""
+        cell = np.clip(np.searchsorted(self.knots, pixels, side="right") - 1, 0, len(self.knots) - 2)
+        if self.cosine:
+            part = np.sin(np.pi / 2 * np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)) ** 2
+            return cell, np.stack([1 - part, part], axis=1)
+        inside = np.clip(pixels, self.knots[0], self.knots[-1])
+        basis = BSpline.design_matrix(inside.astype(np.float64), self._padded, self.degree).toarray()
+        return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
+
+
+def eigen_kernels(lens: Lens, shape, fft_length, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None) -> FieldBlur:
+    """The mean kernel and the principal differences from it, as a natural scene weighs them.
+
+    terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
+    and columns whose kernels are analysed. The mean takes part with coefficient one and the others sum to zero, so that
+    flat fields are exact at any number of terms. One set of coefficients serves all planes.
+    Source: Lauer, Proc. SPIE 4847 (2002); the weight makes the truncation error that of an image, not of a kernel.
+    """
+    nodes = [np.linspace(0, size - 1, min(count, size)) for size, count in zip(shape, samples, strict=True)]
+    places = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    kernels = _kernels(lens, places)
+    mean = kernels.mean(axis=0)
+    differences = kernels - mean
+    spectra = _weighted(differences).reshape(len(places), -1)
+    variances, vectors = np.linalg.eigh(spectra @ spectra.T)
+    order = np.argsort(variances)[::-1][:MOST_TERMS - 1]
+    # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
+    vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
+    probes, wanted = _truth(lens, shape, truth)
+    at_probes = _between(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
+    basis = np.einsum("nk,npij->kpij", vectors, differences)  # U (U^T D): sums of differences, so their sums are zero
+
+    def error(count):
+        return image_error(mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted)
+
+    most = vectors.shape[1] + 1
+    if terms is None:
+        low, high = 1, most  # the error falls with the number of terms
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (low, middle) if error(middle)[0] <= tolerance else (middle + 1, high)
+        terms = low
+    terms = min(terms, most)
+
+    def maps():
+        return np.concatenate([np.ones((1, *shape)), _between(nodes, vectors[:, : terms - 1], *map(np.arange, shape))])
+
+    reach = mean.shape[-1] // 2
+    edges = tuple(np.array([-reach, size + reach]) for size in shape)
+    return FieldBlur("eigen-kernels", maps, np.concatenate([mean[None], basis[: terms - 1]]),
+                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms, fft_length))
+
+
+def image_error(kernels, wanted) -> tuple[float, float]:
+    """Relative RMS error of a natural image blurred by `kernels` in place of `wanted`, both (n, planes, m, m).
+
+    Returns the root mean square over the n places, and the largest of them; planes count alike.
+    """
+    wrong = np.square(_weighted(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
+    scene = np.square(_weighted(np.ones((1, 1, 1, 1)), kernels.shape[-1])).sum()  # of a point: the weight alone
+    scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
+    return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
+
+
+def _weighted(kernels, size=0):
+    """Half spectra times the amplitude spectrum of scenes, as real numbers whose squares sum to the whole's energy."""
+    period = max(PERIOD, size, kernels.shape[-1])
+    spectra = np.fft.rfft2(kernels, (period, period))
+    fy, fx = np.fft.fftfreq(period)[:, None], np.fft.rfftfreq(period)
+    weight = 1 / np.maximum(np.hypot(fy, fx), 0.5 / period)
+    weight[0, 0] = 0
+    twice = np.where((fx > 0) & (fx < 0.5), np.sqrt(2), 1.0)  # columns that stand for two
+    return np.concatenate([spectra.real * (weight * twice), spectra.imag * (weight * twice)], axis=-1)
+
+
+def _kernels(lens, places):
+    """The lens's kernels, checked."""
+    kernels = np.asarray(lens(places), np.float64)
+    if kernels.ndim != 4 or len(kernels) != len(places) or kernels.shape[2] != kernels.shape[3]:
+        raise BadData(f"field kernels: wanted shape ({len(places)}, planes, m, m), got {kernels.shape}")
+    if kernels.shape[2] % 2 == 0:
+        raise BadData(f"field kernels: the size {kernels.shape[2]} is even; a kernel needs a middle pixel")
+    sums = kernels.sum(axis=(2, 3))
+    wanted = np.median(sums, axis=0)
+    off = np.where(np.isfinite(sums), np.abs(sums - wanted), np.inf)
+    if not off.max() <= 1e-6 * np.abs(kernels).sum(axis=(2, 3)).max():
+        worst = np.unravel_index(np.argmax(off), sums.shape)
+        raise BadData(f"field kernels: the one at pixel {tuple(np.round(places[worst[0]], 1).tolist())} sums to "
+                      f"{sums[worst]:.6g}, others to {wanted[worst[1]]:.6g}: the field would change flat frames")
+    kernels = kernels.copy()
+    kernels[..., kernels.shape[2] // 2, kernels.shape[3] // 2] += wanted - sums  # rounding
+    return kernels
+
+
+def _truth(lens, shape, truth):
+    if truth is not None:
+        return truth
+    probes = _probes(shape)
+    return probes, _kernels(lens, probes)
+
+
+def _probes(shape):
+    """Pixels spread evenly over the frame: the additive recurrence of the plastic number."""
+    plastic = 1.324717957244746
+    number = np.arange(PROBES)
+    fractions = np.stack([(0.5 + number / plastic) % 1, (0.5 + number / plastic**2) % 1], axis=1)
+    return np.floor(fractions * shape).astype(int)
+
+
+def _between(nodes, vectors, rows, cols, grid=True):
+    """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
+    counts = [len(node) for node in nodes]
+    shape = (len(rows), len(cols)) if grid else (len(rows),)
+    out = np.empty((vectors.shape[1], *shape))
+    for k, values in enumerate(vectors.T):
+        if min(counts) == 1:
+            out[k] = values[0] if max(counts) == 1 else np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len),
+                                                                  values)
+            continue
+        degrees = [min(3, count - 1) for count in counts]
+        out[k] = RectBivariateSpline(*nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1])(rows, cols,
+                                                                                                  grid=grid)
+    return out
+
+
+def _cost(edges, reach, terms, fft_length):
+    """Flop of the transforms of one plane to one channel: 2.5 n log2 n for each, terms forward and one back."""
+    tiles = np.prod([len(edge) - 1 for edge in edges])
+    size = np.prod([float(fft_length(int(np.diff(edge).max()) + 2 * reach)) for edge in edges])
+    return float(2.5 * tiles * (terms + 1) * size * np.log2(max(size, 2)))

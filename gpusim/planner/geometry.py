@@ -1,0 +1,149 @@
+"""Where each pixel looks: the inverse of a distortion on a coarse grid, and what the lens loses toward the corner."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.domain.distortion import Distortion, ideal
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.sensor import Microlens
+
+STEPS = (64, 32, 16, 8, 4, 2)  # [pixel] between nodes, at most
+RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
+
+
+@dataclass(frozen=True, eq=False)
+class WarpGrid:
+    """The inverse mapping of a frame, for the stage `optics.warp`.
+
+    nodes: shape (ny, nx, 3): what to add to a pixel's (row, column) index for its place among the source samples, and
+        the flux factor, ideal area over distorted area. The nodes divide the frame evenly, the outermost lie on its
+        edges; the stage interpolates with cubic Lagrange polynomials.
+    error: largest distance [source sample] and relative error of the flux factor of that interpolation,
+        measured between the nodes. ratio: smallest and largest source samples per pixel along any direction, beyond
+        `RATIO_TO_REPORT` of which only area weighting does not alias. reach: source samples beyond the edge of the
+        source frame that the frame sees (0 where the source is large enough).
+    """
+
+    nodes: np.ndarray
+    error: tuple[float, float]
+    ratio: tuple[float, float]
+    reach: float
+
+    @property
+    def method(self) -> str:
+        """Of `optics.warp`: "cubic", or "area" where a pixel has more than `RATIO_TO_REPORT` samples."""
+        return "area" if self.ratio[1] > RATIO_TO_REPORT else "cubic"
+
+    @property
+    def report(self) -> str:
+        """One line of what a user should know."""
+        line = (f"{self.ratio[0]:.3g} .. {self.ratio[1]:.3g} source samples per pixel, position to {self.error[0]:.1e} "
+                f"of a sample, flux to {self.error[1]:.1e}")
+        if self.ratio[1] > RATIO_TO_REPORT:
+            line += f"; more than {RATIO_TO_REPORT:g} samples per pixel: area weighting"
+        return line + (f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else "")
+
+
+def warp_grid(distortion: Distortion, shape, pitch, source_shape=None, source_pitch=None, tolerance=1e-3) -> WarpGrid:
+    """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
+
+    source_shape, source_pitch: samples of the undistorted image, centred as well; the same as the frame by default.
+    tolerance: largest error of the interpolated positions [source sample] that is asked for; the coarsest grid that
+    keeps it is chosen. Raises OutOfRange for a distortion that cannot be inverted over the frame, or not so well.
+    """
+    source_shape, source_pitch = source_shape or shape, source_pitch or pitch
+
+    def places(rows, cols):
+        """Index difference and flux factor for pixel indices (broadcast), and the derivative's singular values."""
+        y = (rows[:, None] - (shape[0] - 1) / 2) * (pitch / distortion.radius)
+        x = (cols - (shape[1] - 1) / 2) * (pitch / distortion.radius)
+        u, v = ideal(distortion, x, y)
+        a, b, c, d = distortion.derivative(u, v)
+        flux = 1 / (a * d - b * c)
+        back = distortion.radius / source_pitch
+        values = np.stack([v * back + (source_shape[0] - 1) / 2 - rows[:, None],
+                           u * back + (source_shape[1] - 1) / 2 - cols, flux], axis=-1)
+        # singular values s1 >= s2 of the 2 x 2 derivative, from s1 s2 = det and s1^2 + s2^2 = sum of squares
+        squares, twice = a * a + b * b + c * c + d * d, 2 / flux
+        s1 = (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
+        ratio = pitch / source_pitch
+        return values, (ratio / s1.max(), ratio * (flux * s1).max())  # 1/s1 the smallest, 1/s2 = flux s1 the largest
+
+    for step in STEPS:
+        cells = [max(3, -(-n // step)) for n in shape]
+        edges = [np.linspace(0, n, count + 1) - 0.5 for n, count in zip(shape, cells, strict=True)]
+        values, ratio = places(*edges)
+        between, _ = places(*((edge[1:] + edge[:-1]) / 2 for edge in edges))  # about where cubics err most
+        middle = np.einsum("yi,xj,ijk->yxk", *map(_half_way, cells), values, optimize=True)
+        off = np.abs(middle - between)
+        error = float(off[..., :2].max()), float((off[..., 2] / between[..., 2]).max())
+        if error[0] <= tolerance:
+            break
+    else:
+        raise OutOfRange("distortion", f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
+                         f"at most {tolerance:g}")
+    corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
+    reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
+    return WarpGrid(values, error, ratio, float(reach))
+
+
+def _half_way(cells):
+    """Weights of cells + 1 nodes for the values in the middle of each cell, shape (cells, cells + 1)."""
+    weights = np.zeros((cells, cells + 1))
+    for cell in range(cells):
+        first = min(max(cell - 1, 0), cells - 3)
+        for a in range(4):
+            weights[cell, first + a] = np.prod([(cell + 0.5 - first - b) / (a - b) for b in range(4) if b != a])
+    return weights
+
+
+def relative_illumination(model, shape, pitch, image_distance, radius=None) -> np.ndarray:
+    """Relative illumination of every pixel centre, float64, shape (rows, cols), 1 on axis.
+
+    model: "cos4"; a tuple of polynomial coefficients (a1, a2, ...) for 1 + a1 h + a2 h^2 + ... of the field height
+    h = r / radius; or a pair of arrays (heights, values) interpolated linearly. pitch, image_distance, radius: [m];
+    radius: by default half the frame's diagonal. Multiply maps for lens and microlenses.
+    Source: Farrell and Wandell, section 4.1. Raises BadData, OutOfRange.
+    """
+    rows, cols = shape
+    r = np.hypot((np.arange(rows)[:, None] - (rows - 1) / 2) * pitch, (np.arange(cols) - (cols - 1) / 2) * pitch)
+    if isinstance(model, str):
+        if model != "cos4":
+            raise OutOfRange("relative_illumination", repr(model), '"cos4", coefficients or a table')
+        return (1 + (r / image_distance) ** 2) ** -2
+    h = r / (radius or pitch * np.hypot(rows, cols) / 2)
+    if len(model) == 2 and np.ndim(model[0]) == 1:
+        heights, values = (np.asarray(part, np.float64) for part in model)
+        if heights.shape != values.shape or not (np.diff(heights) > 0).all() or heights[0] != 0:
+            raise BadData("relative illumination: wanted heights rising from 0 and as many values")
+        if h.max() > heights[-1] * (1 + 1e-9):
+            raise OutOfRange("relative illumination table", f"ends at field height {heights[-1]:.6g}",
+                             f"as far as the frame's corner, {h.max():.6g}")
+        gain = np.interp(h, heights, values) / values[0]
+    else:
+        gain = np.polynomial.polynomial.polyval(h, (1.0, *model))
+    return _checked("relative illumination", gain)
+
+
+def microlens_gain(microlens: Microlens, shape, pitch, exit_pupil_distance) -> np.ndarray:
+    """Gain of every pixel from the angle at which the chief ray meets it, float64, shape (rows, cols).
+
+    exit_pupil_distance: from the exit pupil to the sensor [m].
+    Source: Catrysse, Liu and El Gamal, Proc. SPIE 3965 (2000). Raises OutOfRange.
+    """
+    rows, cols = shape
+    r = np.hypot((np.arange(rows)[:, None] - (rows - 1) / 2) * pitch, (np.arange(cols) - (cols - 1) / 2) * pitch)
+    tangent = r / exit_pupil_distance
+    angle = np.abs(np.arctan(tangent) - np.arctan(microlens.shift * tangent))
+    if angle.max() > microlens.angles[-1]:
+        raise OutOfRange("sensor.microlens", f"measured up to {np.degrees(microlens.angles[-1]):.4g} deg",
+                         f"as far as the corner's chief ray, {np.degrees(angle.max()):.4g} deg")
+    return np.interp(angle, microlens.angles, microlens.response)
+
+
+def _checked(what, gain):
+    if not (np.isfinite(gain).all() and gain.min() >= 0):
+        worst = np.unravel_index(np.argmin(gain), gain.shape)
+        raise OutOfRange(what, f"{gain[worst]:.6g} at pixel {tuple(map(int, worst))}", "0 <= gain < inf")
+    return gain

@@ -1,0 +1,159 @@
+"""Highlights: pixels so bright that a float32 transform would drown the dark around them; each is added exactly.
+
+A float32 transform errs everywhere by 2.5e-7 of the field's root mean square: beside one pixel 1e9 times as bright as
+the rest that is up to 68 % of the rest. So a pixel above THRESHOLD times the median stays in the planes at the median,
+and what it has more is a point light of its own spectrum, whose kernel is summed in the image itself, not by
+transforms. As a light, it is not continued outside the frame by the border rule, and it never wraps around.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import j1
+
+from gpusim.domain.scene import Basis, Cube, Materials
+
+THRESHOLD = 100.0  # times the median
+MOST = 64  # points; what is beyond them stays in the planes, and its error is reported
+TRANSFORM_ERROR = 2.5e-7  # of a float32 transform, over the field's root mean square
+NEGLIGIBLE = 1e-6  # of the median: where a point adds less, it is not added
+CORE = 32  # [pixel] kernels are tabled pixel by pixel up to here, by radius beyond
+PER_RING = 64  # samples of a radial table to a diffraction ring
+
+
+@dataclass(frozen=True, eq=False)
+class Highlights:
+    """Point lights in the frame's pixels.
+
+    places: rows and columns, int (N, 2), counted from the frame's first pixel. light: which of the spectra, int (N,).
+    strength: times that spectrum, (N,). spectra: (K, L). reach: farthest pixel each adds to [pixel], int (N,).
+    residue: local error, over the median, from bright pixels beyond the MOST that stayed in the planes.
+    """
+
+    places: np.ndarray
+    light: np.ndarray
+    strength: np.ndarray
+    spectra: np.ndarray
+    reach: np.ndarray
+    residue: float
+
+
+def split_highlights(content: Cube | Basis | Materials, weights, q: float, margin: int):
+    """Content without its highlights, and these (None where there are none).
+
+    weights: electrons per content, shape (C, L); brightness is their sum over the channels. q: largest wavelength times
+    f-number over pitch. margin: of the scene around the frame [pixel].
+    """
+    total = weights.sum(axis=0)
+    brightness = brightness_of(content, total)
+    step = max(1, int(np.sqrt(brightness.size / 2**16)))
+    median = max(float(np.median(brightness[::step, ::step])), 0.0)
+    bright = np.flatnonzero(brightness > THRESHOLD * median)
+    if not len(bright):
+        return content, None
+    chosen = bright[np.argsort(brightness.flat[bright])[::-1][:MOST]]
+    rows, cols = np.unravel_index(chosen, brightness.shape)
+    level = brightness[rows, cols].astype(np.float64)
+    keep = (median / level).astype(np.float32)
+    if isinstance(content, Materials):
+        light, spectra = content.ids[rows, cols], np.asarray(content.spectra, np.float64)
+        used, light = np.unique(light, return_inverse=True)
+        spectra, strength = spectra[used], content.shading[rows, cols].astype(np.float64)
+        planes = content.shading.copy()
+        rest: Cube | Basis | Materials = replace(content, shading=planes)
+    else:
+        planes = (content.values if isinstance(content, Cube) else content.coefficients).copy()
+        spectra = planes[:, rows, cols].T.astype(np.float64)
+        if isinstance(content, Basis):
+            spectra = spectra @ content.basis
+        light, strength = np.arange(len(chosen)), np.ones(len(chosen))
+        rest = (replace(content, values=planes) if isinstance(content, Cube)
+                else replace(content, coefficients=planes))
+    stored = planes[..., rows, cols].astype(np.float64)
+    planes[..., rows, cols] *= keep
+    # exactly what was taken away, the rounding of the stored remainder included
+    left = planes[..., rows, cols] / np.where(stored == 0, 1, stored)
+    strength = strength * (1 - (left if left.ndim == 1 else np.where(stored == 0, 0, left).max(axis=0)))
+    rest_squared = np.square(brightness, dtype=np.float64)
+    rest_squared[rows, cols] = median**2
+    residue = 0.0
+    if len(bright) > len(chosen):
+        residue = TRANSFORM_ERROR * float(np.sqrt(rest_squared.mean())) / max(median, 1e-38)
+    # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
+    floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
+    reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
+    reach = np.minimum(np.maximum(reach, CORE), max(brightness.shape)).astype(np.int32)
+    return rest, Highlights(np.stack([rows, cols], axis=1) - margin, light.astype(np.int32), strength, spectra, reach,
+                            residue)
+
+
+def brightness_of(content: Cube | Basis | Materials, total) -> np.ndarray:
+    """Content weighted by `total` (L,), such as the sum of all channels, at every pixel: float32 (rows, cols)."""
+    if isinstance(content, Materials):
+        return (content.spectra @ total).astype(np.float32)[content.ids] * content.shading
+    planes, weights = (content.values, total) if isinstance(content, Cube) else (
+        content.coefficients, content.basis @ total)
+    return np.tensordot(weights.astype(np.float32), planes, 1)
+
+
+def airy_density(radius, q):
+    """Energy per square pixel at `radius` [pixel] of a point: (pi / 4 q^2) (2 J1(v) / v)^2, v = pi r / q (Airy)."""
+    v = np.maximum(np.pi * radius / q, 1e-9)
+    return np.pi / (4 * q * q) * (2 * j1(v) / v) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class PointKernels:
+    """Pixel-integrated Airy patterns, one per wavelength.
+
+    cores: at whole pixels (dy, dx) up to CORE, shape (L, CORE + 1, CORE + 1). profiles: at radii 0, step, 2 step ...
+    [pixel], shape (L, n), averaged over the `parts`-th part of a pixel's side in the mean over all directions: a mean
+    of parts x parts of them is a pixel to 1e-3, from CORE on. spread: side of a part [pixel].
+    """
+
+    cores: np.ndarray
+    profiles: np.ndarray
+    step: float
+    parts: int
+    spread: float
+
+
+def point_kernels(q, aperture: float, reach: int) -> PointKernels:
+    """Kernels up to `reach` pixels for wavelengths of `q` (lambda N / pitch); aperture: width of a pixel's [pixel].
+
+    A ring pattern of period q averaged over a small square depends little on the square's direction: for squares of
+    half a ring by +- 1 %. So a pixel is cut into `parts` per side, each replaced by its mean over directions.
+    """
+    q = np.asarray(q, np.float64)
+    order = int(np.ceil(6 + 3 * aperture / q.min()))
+    nodes, mass = (array / 2 for array in np.polynomial.legendre.leggauss(order))
+    offsets = (np.arange(CORE + 1)[:, None] + aperture * nodes).ravel()
+    radius = np.hypot(offsets[:, None], offsets)
+    cores = np.empty((len(q), CORE + 1, CORE + 1))
+    for core, one in zip(cores, q, strict=True):
+        values = airy_density(radius, one).reshape(CORE + 1, order, CORE + 1, order)
+        core[:] = np.einsum("iajb,a,b->ij", values, mass, mass)
+    parts = int(np.ceil(2 * aperture / q.min()))
+    spread, step = aperture / parts, q.min() / PER_RING
+    count = int(np.ceil((np.sqrt(2) * (reach + 1)) / step)) + 2
+    radii = step * np.arange(count)
+    smooth = _mean_over_directions(spread, step)
+    margin = len(smooth) // 2
+    padded = np.abs(step * np.arange(-margin, count + margin))
+    profiles = np.stack([np.convolve(airy_density(padded, one), smooth, "valid") for one in q])
+    return PointKernels(cores, profiles[:, : len(radii)], step, parts, spread)
+
+
+def _mean_over_directions(side, step):
+    """Weights, `step` apart, of the distribution of a square's points along a line, over all directions of the line."""
+    angles = (np.arange(16) + 0.5) / 16 * np.pi / 4
+    half = int(np.ceil(side / np.sqrt(2) / step)) + 1
+    edges = step * (np.arange(-half, half + 2) - 0.5)
+    total = 0
+    for angle in angles:
+        a, b = side * np.cos(angle) / 2, side * np.sin(angle) / 2
+        corners = ((1, a + b), (-1, a - b), (-1, b - a), (1, -a - b))
+        # the distribution function: the sum of two uniform variables, as a second integral of its corners
+        total = total + sum(s * np.maximum(edges + c, 0) ** 2 for s, c in corners) / (8 * a * b)
+    weights = np.diff(total / len(angles))
+    return weights / weights.sum()

@@ -1,0 +1,210 @@
+"""Kernels of a lens anywhere in the field: pixel-integrated point spreads, from its pupil or from measurements.
+
+A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.domain.optics import Optics
+from gpusim.domain.psf import PointSpread
+from gpusim.planner.field import image_error
+from gpusim.planner.psf import psf_tables
+
+# Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
+QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
+SAMPLES_PER_CYCLE = 6  # of the pupil's phase, at the edge of the kernel
+NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
+WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
+SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
+
+
+@dataclass(frozen=True, eq=False)
+class PupilLens:
+    """Point spreads of a pupil and its wavefronts.
+
+    optics: the lens. pitch: of the pixels [m]. aperture: width of the pixel's aperture over the pitch. corner: distance
+    of the frame's corner from the axis [pixel], for lateral colour.
+    """
+
+    optics: Optics
+    pitch: float
+    aperture: float
+    corner: float
+    least_size = 1
+
+    def kernels(self, wavelengths, place, size) -> np.ndarray:
+        """Energy of every pixel around a point at `place`, float64 (L, size, size), size odd, sum 1.
+
+        The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
+        Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. What falls
+        outside is left out before the sum is made 1.
+        """
+        optics, (y, x) = self.optics, place
+        wavelengths = np.asarray(wavelengths, np.float64)
+        waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
+        colour = optics.lateral_color_at(wavelengths) * self.corner  # shift per unit of field height [pixel]
+        out = np.empty((len(wavelengths), size, size))
+        for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
+            kernel[:] = self._kernel(wavelength * 1e-9 * optics.working_f_number / self.pitch, wave, size,
+                                     (shift * y, shift * x))
+        return out / out.sum(axis=(1, 2), keepdims=True)
+
+    def _kernel(self, q, wave, size, shift):
+        points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
+        # cycles of the phase per radius: x / 2 q for the image at x, and the wavefront's own
+        fastest = (size / 2 + max(map(abs, shift))) / (2 * q) + _steepest(wave)
+        count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
+        u = (np.arange(count) + 0.5) / count * 2 - 1
+        path = np.polynomial.polynomial.polygrid2d(u, u, wave).T  # [y, x]
+        aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
+        mass = np.polynomial.legendre.leggauss(points)[1] / 2
+        energy = 0.0
+        spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
+        for a in {-spots[0], spots[0]}:
+            for b in {-spots[1], spots[1]}:
+                left, right = (_waves_to(size, points, self.aperture, move, count, q)
+                               for move in (shift[0] + a, shift[1] + b))
+                field_ = left @ aperture @ right.T
+                energy = energy + (field_.real**2 + field_.imag**2)
+        energy = energy.reshape(size, points, size, points)
+        return np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
+
+
+@lru_cache(maxsize=32)
+def _waves_to(size, points, aperture, shift, count, q):
+    """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
+
+    A ray through u meets the image at -2 q grad W: where the phase W + u x / 2 q is stationary.
+    """
+    u = (np.arange(count) + 0.5) / count * 2 - 1
+    nodes = np.polynomial.legendre.leggauss(points)[0] / 2
+    pixels = ((np.arange(size) - size // 2)[:, None] + aperture * nodes).ravel() - shift
+    return np.exp(2j * np.pi * np.outer(pixels, u) / (2 * q)).astype(np.complex64)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLens:
+    """Point spreads that are given: see `PupilLens` for pitch and aperture."""
+
+    optics: Optics
+    spread: PointSpread
+    pitch: float
+    aperture: float
+
+    @property
+    def least_size(self) -> int:
+        """Least size of the kernels [pixel] that holds the spreads."""
+        return int(np.ceil(max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch)) + 2
+
+    def kernels(self, wavelengths, place, size) -> np.ndarray:
+        """As those of `PupilLens`; raises OutOfRange where the spread is larger than `size` pixels."""
+        wavelengths = np.asarray(wavelengths, np.float64)
+        tables = psf_tables(self.spread, wavelengths, self.pitch, self.aperture, size, size, place=place)
+        kernels = np.fft.fftshift(np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2))
+        return kernels / kernels.sum(axis=(1, 2), keepdims=True)
+
+
+def open_lens(optics: Optics, pitch, aperture, corner):
+    """The lens that `optics` describes."""
+    if optics.psf is not None:
+        return MeasuredLens(optics, optics.psf, pitch, aperture)
+    return PupilLens(optics, pitch, aperture, corner)
+
+
+def wavelength_nodes(wavelengths):
+    """Wavelengths [nm] whose kernels tell those of all, and the weights of these in each, shape (L, nodes)."""
+    wavelengths = np.asarray(wavelengths, np.float64)
+    if len(wavelengths) <= NODES:
+        return wavelengths, np.eye(len(wavelengths))
+    nodes = np.linspace(wavelengths[0], wavelengths[-1], NODES)
+    return nodes, CubicSpline(nodes, np.eye(NODES))(wavelengths)
+
+
+class Differences:
+    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to zero.
+
+    What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
+    differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
+    the rest.
+
+    lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
+    shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
+    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where MAXIMUM_SIZE is not enough.
+    """
+
+    def __init__(self, lens, wavelengths, mix, shape, corner, error):
+        self.lens, self.shape, self.corner = lens, shape, corner
+        self.nodes, between = wavelength_nodes(wavelengths)
+        self.mix = mix @ between
+        self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror
+        self.size = self._enough(error)
+        self._axis = self._mixed((0.0, 0.0), self.size)
+        self._known: dict = {}
+
+    def __call__(self, places) -> np.ndarray:
+        """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
+        middle = (np.array(self.shape) - 1) / 2
+        kernels = np.empty((len(places), *self._axis.shape))
+        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - middle) / self.corner, strict=True):
+            if self.mirrored:  # the other quadrants are mirror images
+                kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
+            else:
+                kernel[:] = self._at(y, x)
+        return kernels
+
+    def _at(self, y, x):
+        key = round(y, 9), round(x, 9)
+        if key not in self._known:
+            self._known[key] = self._mixed((y, x), self.size) - self._axis
+        return self._known[key]
+
+    def _mixed(self, place, size):
+        return np.tensordot(self.mix, self.lens.kernels(self.nodes, place, size), 1)
+
+    def _enough(self, error):
+        """Size of kernels beyond which the differences at the corners cost less than `error`."""
+        least = self.lens.least_size
+        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner
+        if shift > WIDEST_SHIFT:
+            raise OutOfRange("optics.lateral_color", f"{shift:.3g} pixels at the frame's corner",
+                             f"up to {WIDEST_SHIFT} pixels; or a coarser pixel")
+        corner = (np.array(self.shape) - 1) / 2 / self.corner
+        middle = [self.nodes[len(self.nodes) // 2]]
+        whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
+        for size in SIZES:
+            if size >= least:
+                cut = (whole - axis)[None].copy()
+                inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
+                cut[..., inner, inner] = 0
+                if image_error(cut, np.zeros_like(cut))[0] <= error:
+                    return size
+        raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
+                         "narrower ones; or a coarser pixel")
+
+
+def _steepest(wave):
+    """Largest slope of the wavefront in the pupil [waves per radius]."""
+    u = np.linspace(-1, 1, 17)
+    slopes = [np.abs(np.polynomial.polynomial.polygrid2d(u, u, np.polynomial.polynomial.polyder(wave, axis=axis)))
+              for axis in (0, 1)]
+    return float(np.hypot(*slopes)[u[:, None] ** 2 + u**2 <= 1].max())
+
+
+@lru_cache(maxsize=32)
+def _coverage(pupil, count):
+    """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
+    u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
+    y, x = u[:, None], u
+    radius = np.hypot(y, x)
+    inside = 1 - radius
+    if pupil.blades:
+        normals = pupil.rotation + np.pi / pupil.blades * (2 * np.arange(pupil.blades) + 1)
+        sides = [np.cos(np.pi / pupil.blades) - x * np.cos(angle) - y * np.sin(angle) for angle in normals]
+        inside = np.minimum.reduce(sides)
+    open_ = np.clip(inside / step + 0.5, 0, 1)
+    return open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1) if pupil.obscuration else open_

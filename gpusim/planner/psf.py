@@ -1,0 +1,69 @@
+"""Transfer tables of point spreads that are given as arrays, float64."""
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.domain.psf import PointSpread
+
+
+def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, finest=0.0, place=(0.0, 0.0),
+               whole=True):
+    """Transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
+
+    pitch: of the pixels [m]. aperture: width of the pixel aperture over the pitch. rows, cols: transform period.
+    finest: lambda N / 2 of the shortest wavelength [m] if known: samples of the lens's irradiance that are further
+    apart do not determine it. place: field point, see `PointSpread.at`. Between its wavelengths the spread is linear;
+    beyond them it is refused. whole: refuse what a convolution of this period could not do; without, the tables are the
+    transfer function at these frequencies, good to be looked at.
+    Returns half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
+
+    Samples of the irradiance are those of a function without frequencies beyond half their rate (sampling theorem,
+    spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a pixel's share of each sample is the
+    transform of the aperture up to that frequency, folded by the pixels, which separates into rows and columns.
+    Raises OutOfRange with the figures when the samples are too coarse, or the spread larger than the period.
+    """
+    wavelengths = np.asarray(wavelengths, np.float64)
+    known = spread.wavelengths
+    if wavelengths.min() < known[0] - 1e-9 or wavelengths.max() > known[-1] + 1e-9:
+        raise OutOfRange("wavelengths", f"{wavelengths.min():g} .. {wavelengths.max():g} nm",
+                         f"those of the point spread, {known[0]:g} .. {known[-1]:g} nm")
+    ratio = spread.spacing / pitch
+    if whole and spread.integrated and abs(ratio - 1) > 1e-9:
+        raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
+                         f"the pixel pitch, {pitch * 1e6:.6g} um: energies of other pixels cannot be resampled")
+    if not spread.integrated and finest and spread.spacing > finest * (1 + 1e-9):
+        raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
+                         f"up to {finest * 1e6:.6g} um, half of lambda N: coarser samples do not determine it")
+    values = spread.at(*place)
+    for size, period, axis in zip(values.shape[1:], (rows, cols), ("rows", "columns"), strict=True):
+        if whole and size * ratio > period:
+            raise OutOfRange(f"point spread {axis}", f"{size} samples = {size * ratio:.4g} pixels",
+                             f"up to the {period} pixels of scene and surroundings")
+    fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
+    left = _sampled(fy, values.shape[1], ratio, aperture, spread.integrated)
+    right = _sampled(fx, values.shape[2], ratio, aperture, spread.integrated)
+    own = np.stack([left @ one @ right.T for one in values])
+    share = np.interp(wavelengths, known, np.arange(len(known)))
+    low = np.minimum(share.astype(int), max(len(known) - 2, 0))
+    high = np.minimum(low + 1, len(known) - 1)
+    rest = (share - low)[:, None, None]
+    tables = own[low] * (1 - rest) + own[high] * rest
+    for i in {0, rows // 2} if rows % 2 == 0 else {0}:  # what is its own opposite is real
+        for j in {0, cols // 2} if cols % 2 == 0 else {0}:
+            tables[:, i, j] = tables[:, i, j].real
+    return np.ascontiguousarray(tables).view(np.float64)
+
+
+def _sampled(frequencies, count, ratio, aperture, integrated):
+    """Transform of what each of `count` samples `ratio` pixels apart gives to the pixels, (frequencies, count)."""
+    places = (np.arange(count) - (count - 1) / 2) * ratio
+    if integrated:
+        return np.exp(-2j * np.pi * np.outer(frequencies, places))
+    reach = int(np.ceil(0.5 / ratio + 0.5))
+    total = np.zeros((len(frequencies), count), complex)
+    for a in range(-reach, reach + 1):
+        f = frequencies + a
+        beyond = np.abs(f) * ratio - 0.5  # at exactly half the rate a sample counts half for either sign
+        share = np.where(beyond < -1e-12, 1.0, np.where(beyond < 1e-12, 0.5, 0.0))
+        total += (share * np.sinc(aperture * f))[:, None] * np.exp(-2j * np.pi * np.outer(f, places))
+    return total

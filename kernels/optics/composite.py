@@ -1,0 +1,71 @@
+"""Layers of different depth, each blurred by itself, laid over one another: nearer ones hide what is behind them.
+
+Ports: lights (entries, channels, rows, cols) float32, alphas (entries, channels or 1, rows, cols) float32 [1]
+-> out (channels, rows, cols) float32 of the lights' unit. An entry is what one kernel spread of one layer: its light
+and its coverage, both blurred. Entries of a layer add up to B_k and A_k; layers are counted from the nearest:
+
+    out = sum over k < last of  B_k T_k  +  (B_last / A_last) T_last,    T_k = product over nearer j of (1 - A_j).
+
+The last layer covers everything, so its blurred coverage differs from 1 only where kernels of different width meet:
+dividing by it keeps an even surface even, whatever its slope.
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def composite(device, lights, alphas, layers):
+    """Lay blurred layers over one another.
+
+    lights: shape (entries, channels, rows, cols), each already multiplied by its coverage before it was blurred.
+    alphas: blurred coverage, shape (entries, channels or 1, rows, cols); sums of a layer beyond 0 .. 1 are clipped.
+    layers: layer of each entry, counted from the nearest, shape (entries,), not decreasing.
+    Returns shape (channels, rows, cols). Source: Porter and Duff, SIGGRAPH 1984 (the operator "over").
+    Raises BadData.
+    """
+    count, channels, rows, cols = lights.shape
+    layers = checked_layers(layers, count)
+    ends = np.append(layers[1:] != layers[:-1], False).astype(np.float32)  # the last layer is laid down after the loop
+    lights, alphas = device.array(lights), device.array(alphas)
+    own = int(alphas.shape[1] > 1)
+    out = device.empty((channels, rows, cols))
+    device.launch("optics.composite", "composite", (channels, rows * cols), lights, alphas, device.array(ends), out,
+                  own, *(() if device.kind == "opencl" else (count, cols)), channels, rows * cols,
+                  defines={"ENTRIES": count})
+    return out
+
+
+def checked_layers(layers, count) -> np.ndarray:
+    """`layers` as an array of `count` integers that do not decrease. Raises BadData."""
+    layers = np.asarray(layers)
+    if layers.shape != (count,) or not count or (np.diff(layers) < 0).any():
+        raise BadData(f"layers {layers.tolist()}: wanted {count} that do not decrease, one for each entry")
+    return layers
+
+
+def cases():
+    """One layer, several of one and of more entries, shared and own coverage."""
+    random = np.random.default_rng(12)
+    for layers, channels, own, rows, cols in (
+            ((0,), 1, 0, 1, 1), ((0, 0, 0), 3, 0, 3, 5), ((0, 1), 3, 1, 63, 65), ((0, 0, 1, 1, 1, 2), 4, 1, 33, 7),
+            ((0, 1, 2, 3, 3, 3, 3, 4), 2, 0, 5, 200)):
+        shares = np.bincount(layers)[list(layers)][:, None, None, None]
+        alphas = random.random((len(layers), channels if own else 1, rows, cols)) / shares
+        last = np.array(layers) == layers[-1]
+        alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[last]  # 0.5 .. 1.5 in all: it covers everything
+        lights = 10.0 ** random.uniform(-3, 4, (len(layers), channels, rows, cols))
+        bound = 2 * 4 * len(layers) * 2.0**-24 * lights.sum(axis=0).max()
+        yield Case(f"{rows}x{cols}, layers {layers}, {channels} channels, {'own' if own else 'shared'} coverage",
+                   {"lights": lights.astype(np.float32), "alphas": alphas.astype(np.float32), "layers": layers}, bound,
+                   "at most 4 roundings of half an ulp an entry, of products below the sum of the lights; the division "
+                   "by a coverage of at least 0.5 doubles them", metric="exact")
+
+
+def bench(rows, cols):
+    """Three layers of three kernels each, three channels."""
+    random = np.random.default_rng(12)
+    return {"lights": random.random((9, 3, rows, cols), np.float32),
+            "alphas": random.random((9, 3, rows, cols), np.float32) / 3, "layers": (0, 0, 0, 1, 1, 1, 2, 2, 2)}

@@ -1,0 +1,132 @@
+// The transforms are elsewhere (common/fft.py); these kernels cut into tiles and weigh, add up, put together: all
+// memory-bound. `spread` adds highlights by direct sums.
+
+int reflected(int i, const int n)  // mirrored with the outermost pixel repeated, however far outside
+{
+    i %= 2 * n;
+    if (i < 0) i += 2 * n;
+    return i < n ? i : 2 * n - 1 - i;
+}
+
+__kernel void weigh(
+    // in:
+    __global const float *restrict planes, __global const float *restrict coefficients,
+    __global const int *restrict edges_y, __global const int *restrict edges_x,
+    // out:
+    __global float *restrict weighted,  // [tiles][terms][period_y][period_x]
+    // params:
+    const float threshold, const int plane, const int first, const int border,
+    // sizes:
+    const int rows, const int cols, const int tiles_x, const int terms, const int size, const int period_y,
+    const int period_x)
+{
+    const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
+    GUARD(x >= period_x || y >= period_y || k >= size)
+    const int tile = first + k / terms, ty = tile / tiles_x, tx = tile % tiles_x;
+    const int v = edges_y[ty] + y, u = edges_x[tx] + x;
+    const int in_tile = v < edges_y[ty + 1] && u < edges_x[tx + 1];
+    const int cy = clamp(v, 0, rows - 1), cx = clamp(u, 0, cols - 1);
+    const int sy = border == 2 ? reflected(v, rows) : cy, sx = border == 2 ? reflected(u, cols) : cx;
+    const float value = planes[((size_t)plane * rows + sy) * cols + sx];
+    const float weight = coefficients[((size_t)(k % terms) * rows + cy) * cols + cx];
+    const int kept = in_tile && value <= threshold && (border != 0 || (cy == v && cx == u));
+    weighted[((size_t)k * period_y + y) * period_x + x] = kept ? weight * value : 0.0f;
+}
+
+#ifdef TERMS
+__kernel void accumulate(
+    // in:
+    __global const float2 *restrict spectra,  // [tiles][TERMS][period_y][pitch]
+    __global const float2 *restrict tables,   // [kernels][own][period_y][half]
+    __global const int *restrict index,       // [tiles][TERMS]
+    __global const float *restrict gains,     // [CHANNELS]
+    // out:
+    __global float2 *restrict sums,           // [CHANNELS][tiles][period_y][pitch]
+    // params:
+    const int is_first, const int first, const int plane,
+    // sizes:
+    const int tiles, const int period_y, const int half_x, const int pitch, const int own)
+{
+    const int x = get_global_id(0), y = get_global_id(1), t = get_global_id(2);
+    GUARD(x >= half_x || y >= period_y || t >= tiles)
+    const size_t at = (size_t)y * pitch + x, frame = (size_t)period_y * pitch;
+    float re = 0.0f, im = 0.0f;
+#pragma unroll
+    for (int k = 0; k < TERMS; ++k) {
+        const float2 value = spectra[(t * TERMS + k) * frame + at];
+        const size_t kernel_at = (size_t)index[(first + t) * TERMS + k] * own + plane;
+        const float2 table = tables[(kernel_at * period_y + y) * half_x + x];
+        re += table.x * value.x - table.y * value.y;
+        im += table.x * value.y + table.y * value.x;
+    }
+#pragma unroll
+    for (int c = 0; c < CHANNELS; ++c) {
+        const size_t to = (size_t)(c * tiles + t) * frame + at;
+        const float2 before = is_first ? (float2)(0.0f, 0.0f) : sums[to];
+        sums[to] = before + gains[c] * (float2)(re, im);
+    }
+}
+#endif
+
+__kernel void keep(
+    // in:
+    __global const float *restrict blurred,  // [channels][size][period_y][period_x]
+    // out:
+    __global float *restrict padded,         // [channels][tiles][period_y][period_x]
+    // params:
+    const int first,
+    // sizes:
+    const int channels, const int size, const int tiles, const int period_y, const int period_x)
+{
+    const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
+    GUARD(x >= period_x || y >= period_y || k >= channels * size)
+    const size_t frame = (size_t)period_y * period_x, at = (size_t)y * period_x + x;
+    padded[((size_t)(k / size) * tiles + first + k % size) * frame + at] = blurred[k * frame + at];
+}
+
+__kernel void assemble(
+    // in:
+    __global const float *restrict padded, __global const int *restrict edges_y, __global const int *restrict edges_x,
+    __global const int2 *restrict cover_y, __global const int2 *restrict cover_x,  // first and last tile in reach
+    __global const float *base,
+    // out:
+    __global float *out,  // may be `base` where that is not added
+    // params:
+    const int reach_y, const int reach_x, const int add_base,
+    // sizes:
+    const int channels, const int rows, const int cols, const int tiles_y, const int tiles_x, const int period_y,
+    const int period_x)
+{
+    const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
+    GUARD(x >= cols || y >= rows || c >= channels)
+    float total = 0.0f;
+    for (int i = cover_y[y].x; i <= cover_y[y].y; ++i)
+        for (int j = cover_x[x].x; j <= cover_x[x].y; ++j) {
+            const size_t tile = (size_t)(c * tiles_y + i) * tiles_x + j;
+            total += padded[(tile * period_y + y - edges_y[i] + reach_y) * period_x + x - edges_x[j] + reach_x];
+        }
+    const size_t at = ((size_t)c * rows + y) * cols + x;
+    out[at] = add_base ? base[at] + total : total;
+}
+
+__kernel void spread(
+    // in:
+    __global const int2 *restrict places,    // row, column
+    __global const float *restrict kernels,  // [places][channels][m][n]
+    __global const int2 *restrict corners,   // of the 32 x 32 squares that are in reach of any
+    __global const int *restrict starts, __global const int *restrict listed,  // the places in reach of each square
+    // out:
+    __global float *restrict out,
+    // sizes:
+    const int channels, const int rows, const int cols, const int m, const int n, const int squares)
+{
+    const int dx = get_global_id(0), dy = get_global_id(1), c = get_global_id(2), bin = dy / 32;
+    GUARD(dx >= 32 || bin >= squares || c >= channels)
+    const int y = corners[bin].x + dy % 32, x = corners[bin].y + dx;
+    float total = 0.0f;
+    for (int i = starts[bin]; i < starts[bin + 1]; ++i) {
+        const int k = listed[i], a = y - places[k].x + m / 2, b = x - places[k].y + n / 2;
+        if (a >= 0 && a < m && b >= 0 && b < n) total += kernels[((size_t)(k * channels + c) * m + a) * n + b];
+    }
+    if (y < rows && x < cols) out[((size_t)c * rows + y) * cols + x] += total;
+}

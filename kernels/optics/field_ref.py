@@ -1,0 +1,32 @@
+"""Every source pixel spreads the kernel of its own place, float64: direct sums over the kernel's entries."""
+
+import numpy as np
+
+MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
+
+
+def field(planes, coefficients, kernels, index, edges, gains, border, margin=0, base=None, threshold=None, tables=None):
+    """See the contract; `threshold` and `tables` only matter to how it is computed."""
+    _, rows, cols = planes.shape
+    kernels = np.asarray(kernels, np.float64)
+    m, n = kernels.shape[2:]
+    pad = (m // 2, m // 2), (n // 2, n // 2)
+    weights = np.pad(np.asarray(coefficients, np.float64), ((0, 0), *pad), mode="edge")
+    out = np.zeros((len(gains), rows, cols))
+    for p, plane in enumerate(planes):
+        source = np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border])
+        own = kernels[:, min(p, kernels.shape[1] - 1)]
+        spread = np.zeros((rows + 2 * (m - 1), cols + 2 * (n - 1)))
+        for t, chosen in enumerate(np.asarray(index)):
+            i, j = divmod(t, len(edges[1]) - 1)
+            y = slice(edges[0][i] + m // 2, edges[0][i + 1] + m // 2)
+            x = slice(edges[1][j] + n // 2, edges[1][j + 1] + n // 2)
+            weighted = weights[:, y, x] * source[y, x]
+            for a in range(m):
+                for b in range(n):
+                    spread[y.start + a : y.stop + a, x.start + b : x.stop + b] += np.tensordot(
+                        own[chosen, a, b], weighted, 1)
+        # the source began m // 2 before the frame, and a kernel's first entry m // 2 before its pixel
+        out += np.asarray(gains, np.float64)[:, p, None, None] * spread[m - 1 : m - 1 + rows, n - 1 : n - 1 + cols]
+    out = out[:, margin : rows - margin, margin : cols - margin]
+    return out if base is None else out + base

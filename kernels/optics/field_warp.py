@@ -1,0 +1,187 @@
+"""The transforms are elsewhere (common/fft.py); these kernels cut into tiles and weigh, add up, put together."""
+
+# mypy: ignore-errors
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def reflected(i: int, n: int):  # mirrored with the outermost pixel repeated, however far outside
+    j = i % (2 * n)
+    if j < 0:
+        j += 2 * n
+    if j >= n:
+        j = 2 * n - 1 - j
+    return j
+
+
+@wp.kernel
+def weigh(
+    # in:
+    planes: wp.array3d[float],
+    coefficients: wp.array3d[float],
+    edges_y: wp.array[int],
+    edges_x: wp.array[int],
+    # out:
+    weighted: wp.array3d[float],
+    # params:
+    threshold: float,
+    plane: int,
+    first: int,
+    border: int,
+    # sizes:
+    rows: int,
+    cols: int,
+    tiles_x: int,
+    terms: int,
+    size: int,
+    period_y: int,
+    period_x: int,
+):
+    k, y, x = wp.tid()
+    tile = first + k / terms
+    ty = tile / tiles_x
+    tx = tile % tiles_x
+    v = edges_y[ty] + y
+    u = edges_x[tx] + x
+    value = float(0.0)
+    if v < edges_y[ty + 1] and u < edges_x[tx + 1]:
+        cy = wp.clamp(v, 0, rows - 1)
+        cx = wp.clamp(u, 0, cols - 1)
+        if border == 2:
+            value = planes[plane, reflected(v, rows), reflected(u, cols)]
+        elif border == 1 or (cy == v and cx == u):
+            value = planes[plane, cy, cx]
+        if value > threshold:
+            value = 0.0
+        value *= coefficients[k % terms, cy, cx]
+    weighted[k, y, x] = value
+
+
+@wp.kernel
+def accumulate(
+    # in:
+    spectra: wp.array4d[float],
+    tables: wp.array4d[float],
+    index: wp.array2d[int],
+    gains: wp.array[float],
+    # out:
+    sums: wp.array4d[float],
+    # params:
+    is_first: int,
+    first: int,
+    plane: int,
+    # sizes:
+    terms: int,
+    channels: int,
+    tiles: int,
+    period_y: int,
+    half_x: int,
+    pitch: int,
+    own: int,
+):
+    t, y, x = wp.tid()
+    re = float(0.0)
+    im = float(0.0)
+    for k in range(terms):
+        a = spectra[t * terms + k, y, x, 0]
+        b = spectra[t * terms + k, y, x, 1]
+        at = index[first + t, k] * own + plane
+        c = tables[at, y, x, 0]
+        d = tables[at, y, x, 1]
+        re += c * a - d * b
+        im += c * b + d * a
+    for c in range(channels):
+        to = c * tiles + t
+        before = wp.vec2(0.0, 0.0)
+        if is_first == 0:
+            before = wp.vec2(sums[to, y, x, 0], sums[to, y, x, 1])
+        sums[to, y, x, 0] = before[0] + gains[c] * re
+        sums[to, y, x, 1] = before[1] + gains[c] * im
+
+
+@wp.kernel
+def keep(
+    # in:
+    blurred: wp.array3d[float],
+    # out:
+    padded: wp.array4d[float],
+    # params:
+    first: int,
+    # sizes:
+    channels: int,
+    size: int,
+    tiles: int,
+    period_y: int,
+    period_x: int,
+):
+    k, y, x = wp.tid()
+    padded[k / size, first + k % size, y, x] = blurred[k, y, x]
+
+
+@wp.kernel
+def assemble(
+    # in:
+    padded: wp.array4d[float],
+    edges_y: wp.array[int],
+    edges_x: wp.array[int],
+    cover_y: wp.array2d[int],
+    cover_x: wp.array2d[int],
+    base: wp.array3d[float],
+    # out:
+    out: wp.array3d[float],
+    # params:
+    reach_y: int,
+    reach_x: int,
+    add_base: int,
+    # sizes:
+    channels: int,
+    rows: int,
+    cols: int,
+    tiles_y: int,
+    tiles_x: int,
+    period_y: int,
+    period_x: int,
+):
+    c, y, x = wp.tid()
+    total = float(0.0)
+    for i in range(cover_y[y, 0], cover_y[y, 1] + 1):
+        for j in range(cover_x[x, 0], cover_x[x, 1] + 1):
+            total += padded[c, i * tiles_x + j, y - edges_y[i] + reach_y, x - edges_x[j] + reach_x]
+    if add_base != 0:
+        total += base[c, y, x]
+    out[c, y, x] = total
+
+
+@wp.kernel
+def spread(
+    # in:
+    places: wp.array2d[int],
+    kernels: wp.array4d[float],
+    corners: wp.array2d[int],
+    starts: wp.array[int],
+    listed: wp.array[int],
+    # out:
+    out: wp.array3d[float],
+    # sizes:
+    channels: int,
+    rows: int,
+    cols: int,
+    m: int,
+    n: int,
+    squares: int,
+):
+    c, dy, dx = wp.tid()
+    at = dy / 32
+    y = corners[at, 0] + dy % 32
+    x = corners[at, 1] + dx
+    total = float(0.0)
+    for i in range(starts[at], starts[at + 1]):
+        k = listed[i]
+        a = y - places[k, 0] + m / 2
+        b = x - places[k, 1] + n / 2
+        if a >= 0 and a < m and b >= 0 and b < n:
+            total += kernels[k, c, a, b]
+    if y < rows and x < cols:
+        out[c, y, x] = out[c, y, x] + total

@@ -1,0 +1,8 @@
+"""out(p, y, x) = gains(p or 0, y, x) planes(p, y, x), float64."""
+
+import numpy as np
+
+
+def gain(planes, gains):
+    """See the contract."""
+    return np.asarray(planes, np.float64) * np.asarray(gains, np.float64)

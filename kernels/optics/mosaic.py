@@ -1,0 +1,194 @@
+"""Blur of weighted planes straight to the mosaic: each pixel gets only its own channel.
+
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2 + 1) float32 [1],
+gains (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
+
+    e(y, x) = sum over k of  gains[c, k] (planes_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
+
+The same as `optics.blur` and taking one channel per pixel, for less: the pixels of one phase (dy, dx) of the mosaic are
+every ph-th row and pw-th column of their channel, and sampling folds its spectrum F, so that they are the inverse
+transform, 1/(ph pw) of the size, of
+
+    G(k) = 1/(ph pw) sum over aliases f = k + (a M_y, b M_x) of  F(f) exp(2 pi i (f_y dy / P_y + f_x dx / P_x)),
+
+M = P / (ph, pw). All phases together are one inverse transform of the frame in place of one per channel.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.kernels.common import fft
+from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.stage import Case, stage
+
+LINES = "optics.mosaic_lines"  # the kernels of GPUs
+BATCH = 8  # planes transformed at once: the folded sums are read and written once per batch
+
+
+def transform_lengths(minimum, cfa_shape):
+    """Transform lengths of at least `minimum`, and whether the mosaic can be folded into transforms of these.
+
+    Folding takes multiples of the mosaic's period. Lengths are products of 2, 3 and 5, so a period of 7 cannot be.
+    """
+    def smallest(size, multiple):
+        return next((length for length in fft.LENGTHS if length >= size and length % multiple == 0), None)
+
+    folded = tuple(smallest(size, period) for size, period in zip(minimum, cfa_shape, strict=True))
+    if None in folded:
+        return tuple(smallest(size, 1) for size in minimum), False
+    return folded, True
+
+
+@stage
+def mosaic(device, planes, tables, gains, cfa, border, period, margin=0):
+    """Convolve each plane with its kernels, add up per channel, and keep each pixel's own channel.
+
+    planes, tables, gains, border, margin: as in `optics.blur`. cfa: channel of each pixel of one period of the mosaic,
+    shape (ph, pw). period: transform lengths, at least (rows, cols) and multiples of (ph, pw).
+    Returns shape (rows - 2 margin, cols - 2 margin). Source: the folding of a sampled signal's spectrum (Shannon).
+    """
+    _, rows, cols = planes.shape
+    planes, tables = device.array(planes), device.array(tables)
+    gains = np.asarray(device.numpy(gains), np.float32)  # cut into batches on the host
+    cfa = np.asarray(device.numpy(cfa), np.int32)
+    start = tuple((length - size) // 2 + margin for length, size in zip(period, (rows, cols), strict=True))
+    cfa = np.roll(cfa, start, axis=(0, 1))  # the mosaic counted from the corner of the period
+    out = device.empty((rows - 2 * margin, cols - 2 * margin))
+    lines = None if device.on_host else _lines(period, cfa.shape)
+    if lines:
+        _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, out)
+    else:
+        _by_planes(device, planes, tables, gains, cfa, border, period, start, out)
+    return out
+
+
+def _by_planes(device, planes, tables, gains, cfa, border, period, start, out):
+    """Transforms of whole planes with the fold between them."""
+    count, channels, own_tables = len(gains[0]), len(gains), int(tables.shape[0] > 1)
+    small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
+    half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
+    turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
+    folded = device.empty((cfa.size, small[0], pitch, 2))
+    for first in range(0, count, BATCH):
+        size = min(BATCH, count - first)
+        spectra = fft.forward_extended(device, planes, first, size, border, period)
+        device.launch("optics.mosaic", "fold", (small[0], half), spectra, tables,
+                      device.array(gains[:, first : first + size]), *turns,
+                      *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)), folded,
+                      int(first == 0), first, count, own_tables,
+                      *(() if device.kind == "opencl" else (size, channels, *cfa.shape)), *small, half,
+                      spectra.shape[2], pitch,
+                      defines={"SIZE": size, "CHANNELS": channels, "PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1],
+                               "CFA": ",".join(map(str, cfa.ravel()))})
+    pixels = fft.inverse(device, folded, small[1])
+    device.launch("optics.mosaic", "interleave", out.shape, pixels, out, *start, *out.shape,
+                  *(() if device.kind == "opencl" else cfa.shape), *small,
+                  defines={"SIZE": 1, "CHANNELS": 1, "PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1], "CFA": "0"})
+
+
+def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, out):
+    """On a GPU: transforms of columns, of rows with the fold between forward and inverse, of columns."""
+    count, rows, cols = planes.shape
+    (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = lines, cfa.shape
+    small, stored = tuple(length // n for length, n in zip(period, cfa.shape, strict=True)), period[0] // 2 + 1
+    roots_y, roots_x = (fft.roots(device, length) for length in period)
+    before = [(length - n) // 2 for length, n in zip(period, (rows, cols), strict=True)]
+    shape = {"PERIOD_Y": phases_y, "PERIOD_X": phases_x, "LENGTH_Y": period[0], "LENGTH_X": period[1],
+             "BORDER": BORDERS[border], "REGISTERS": fft.REGISTERS}
+    pitch, groups = cols + cols % 2, -(-cols // (2 * columns_forward))
+    folded = device.empty((cfa.size, small[0] // 2 + 1, small[1], 2))
+    for first in range(0, count, BATCH):
+        size = min(BATCH, count - first)
+        halves = device.empty((size, stored, pitch, 2))
+        group = fft.threads(device, period[0], columns_forward)
+        device.launch(LINES, "columns_forward", (size * groups * group,), planes, roots_y, halves,
+                      first, before[0], rows, cols, pitch, groups, group=(group,),
+                      defines=shape | {"THREADS": group, "COLUMNS_FORWARD": columns_forward,
+                                       "FORWARD": fft.passes(period[0], columns_forward, -1)})
+        group = fft.threads(device, period[1], rows_forward)
+        device.launch(LINES, "fold", ((small[0] // 2 + 1) * group,), halves, tables,
+                      _constant(device, gains[:, first : first + size].tobytes(), (len(gains), size)), roots_y, roots_x,
+                      folded, int(first == 0), first, count, int(tables.shape[0] > 1), before[1], size, cols,
+                      pitch, group=(group,),
+                      defines=shape | {"THREADS": group, "ROWS_FORWARD": rows_forward, "ROWS_INVERSE": rows_inverse,
+                                       "FORWARD": fft.passes(period[1], rows_forward, -1),
+                                       "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
+                                       "ROOM_NEEDED": max(fft.room(period[1], rows_forward),
+                                                          fft.room(small[1], rows_inverse)) // 8,
+                                       "OWN": -(-small[1] // group), "CHANNELS": len(gains),
+                                       "CFA": ", ".join(map(str, cfa.ravel())),
+                                       "TURNS_Y": _roots_text(phases_y), "TURNS_X": _roots_text(phases_x)})
+    group = fft.threads(device, small[0], columns_inverse * cfa.size // 2)
+    device.launch(LINES, "columns_inverse", (-(-small[1] // columns_inverse) * group,), folded,
+                  roots_y, out, 1 / (period[0] * period[1]), *start, *out.shape, group=(group,),
+                  defines=shape | {"THREADS": group, "COLUMNS_INVERSE": columns_inverse, "INVERSE": fft.passes(
+                      small[0], columns_inverse * cfa.size // 2, 1, phases_y)})
+
+
+@functools.lru_cache(maxsize=64)
+def _constant(device, values, shape):
+    """Array of these bytes on the device: a copy would wait for all that was launched before."""
+    return device.array(np.frombuffer(values, np.float32).reshape(shape))
+
+
+def _lines(period, cfa_shape):
+    """Lines of a work-group in each of the kernels, as many as local memory holds and are of use; None if too few.
+
+    Columns forward (two real columns to a line), rows forward and inverse of the fold, columns of all phases inverse.
+    """
+    def most(choices, length):
+        return next((n for n, lines in choices if fft.room(length, lines) <= fft.LOCAL_BYTES), None)
+
+    small, phases = tuple(length // n for length, n in zip(period, cfa_shape, strict=True)), cfa_shape[0] * cfa_shape[1]
+    found = (most([(n, n) for n in (4, 2, 1)], period[0]),
+             most([(n, n) for n in range(cfa_shape[0], 0, -1) if cfa_shape[0] % n == 0], period[1]),
+             most([(n, n) for n in range(phases, 0, -1) if phases % n == 0], small[1]),
+             most([(n, n * phases // 2) for n in (8, 4, 2, 1) if n * phases % 2 == 0], small[0]))
+    return None if None in found else found
+
+
+def _roots_text(count):
+    roots = np.exp(2j * np.pi * np.arange(count) / count).round(12) + 0.0
+    return ", ".join(f"PAIR({root.real:.9f}f, {root.imag:.9f}f)" for root in roots)
+
+
+def _turns(length, count):
+    """exp(2 pi i f d / length) / count for every frequency f and phase d < count, shape (length, count, 2)."""
+    angle = 2 * np.pi * (np.outer(np.arange(length), np.arange(count)) % length) / length
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1) / count
+
+
+def cases():
+    """All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a highlight of 1e6."""
+    random = np.random.default_rng(5)
+    why = ("as optics.blur, 1.2e-6 of the peak for each of the two transforms; the folded sum adds one rounding of a "
+           "term per alias, which its own size bounds")
+    bayer = [[0, 1], [1, 2]]
+    for rows, cols, count, cfa, own, border, period, margin in (
+            (1, 1, 1, [[0]], 0, "zero", (1, 1), 0), (3, 5, 3, bayer, 1, "edge", (10, 16), 0),
+            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", (80, 90), 0), (63, 65, 4, [[1, 2], [0, 1]], 1, "zero",
+                                                                       (64, 72), 0),
+            (20, 30, 9, [[2, 1], [1, 0]], 1, "edge", (64, 60), 7), (40, 31, 2, [[0, 1, 2]], 1, "edge", (45, 45), 0),
+            (31, 40, 2, np.arange(32).reshape(8, 4) % 3, 0, "zero", (40, 48), 3),
+            (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0)):
+        channels = int(np.max(cfa)) + 1
+        fy, fx = np.arange(period[0] // 2 + 1)[:, None] / period[0], np.arange(period[1] // 2 + 1) / period[1]
+        widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
+        tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
+        planes = random.random((count, rows, cols))
+        planes[0, rows // 2, cols // 2] = 1e6
+        yield Case(f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
+                   {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32),
+                    "gains": random.random((channels, count)).astype(np.float32), "cfa": np.array(cfa, np.int32),
+                    "border": border, "period": period, "margin": margin}, 2.4e-6, why)
+
+
+def bench(rows, cols):
+    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    random = np.random.default_rng(5)
+    period, _ = transform_lengths((rows + 128, cols + 128), (2, 2))
+    return {"planes": random.random((4, rows, cols), np.float32),
+            "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
+            "gains": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
+            "period": period}

@@ -1,0 +1,107 @@
+// One frequency of BANDS bands per work-item (one on a GPU): they share the frequency's direction and its replicas.
+
+// Weights of the cubic through the nodes -1, 0, 1, 2 at t.
+float4 cubic(const float t)
+{
+    return (float4)(-t * (t - 1.0f) * (t - 2.0f) / 6.0f, (t + 1.0f) * (t - 1.0f) * (t - 2.0f) / 2.0f,
+                    -(t + 1.0f) * t * (t - 2.0f) / 2.0f, (t + 1.0f) * t * (t - 1.0f) / 6.0f);
+}
+
+// Node below the place of s < 1 among `length` nodes even in 1 - sqrt(1 - s), kept so that a cubic has all its nodes.
+int node(const float s, const int length, float *rest)
+{
+    // 1 - sqrt(1 - s) without its cancellation
+    const float place = s / (1.0f + sqrt(1.0f - s)) * (length - 1);
+    const int i = clamp((int)place, 1, length - 3);
+    *rest = place - i;
+    return i;
+}
+
+__kernel void radial(
+    // in:
+    __global const float *restrict table,     // [bands][length]
+    __global const float *restrict q,
+    __global const float *restrict weight_y,  // [replicas][rows]
+    __global const float *restrict weight_x,  // [replicas][cols]
+    __global const float *restrict fy, __global const float *restrict fx,
+    // out:
+    __global float *restrict tables,          // [bands][rows][cols]
+    // params:
+    const int low, const int high, const int length,
+    // sizes:
+    const int bands, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), first = get_global_id(2) * BANDS;
+    GUARD(x >= cols || y >= rows || first >= bands)
+    const int count = min(BANDS, bands - first);
+    float sums[BANDS];
+    for (int n = 0; n < BANDS; ++n) sums[n] = 0.0f;
+    for (int a = low; a <= high; ++a)
+        for (int b = low; b <= high; ++b) {
+            const float v = fy[y] + a, u = fx[x] + b, radius = sqrt(u * u + v * v);
+            const float weight = weight_y[(a - low) * rows + y] * weight_x[(b - low) * cols + x];
+            for (int n = 0; n < count; ++n) {
+                const float s = q[first + n] * radius;
+                if (s >= 1.0f) continue;
+                float rest;
+                const int i = node(s, length, &rest);
+                sums[n] += weight * dot(cubic(rest), vload4(0, table + (size_t)(first + n) * length + i - 1));
+            }
+        }
+    for (int n = 0; n < count; ++n) tables[((size_t)(first + n) * rows + y) * cols + x] = sums[n];
+}
+
+__kernel void polar(
+    // in:
+    __global const float *restrict table,     // [bands][sectors * per_sector + 1][length][2]
+    __global const float *restrict q,
+    __global const float *restrict weight_y,  // [replicas][rows]
+    __global const float *restrict weight_x,  // [replicas][cols]
+    __global const float *restrict fy, __global const float *restrict fx,
+    // out:
+    __global float2 *restrict tables,         // [bands][rows][cols]
+    // params:
+    const int low, const int high, const float angle, const int sides, const float inner, const int sectors,
+    const int per_sector, const int length,
+    // sizes:
+    const int bands, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), first = get_global_id(2) * BANDS;
+    GUARD(x >= cols || y >= rows || first >= bands)
+    const int count = min(BANDS, bands - first);
+    const int rays = sectors * per_sector;
+    float2 sums[BANDS];
+    for (int n = 0; n < BANDS; ++n) sums[n] = (float2)(0.0f, 0.0f);
+    for (int a = low; a <= high; ++a)
+        for (int b = low; b <= high; ++b) {
+            const float v = fy[y] + a, u = fx[x] + b;
+            float turn = (atan2(v, u) - angle) / M_PI_F;  // in half turns, then within [0, 1)
+            const float whole = floor(turn);
+            turn -= whole;
+            float radius = sqrt(u * u + v * v);
+            if (sides > 0) {  // s of the cut-off's nearest side
+                const float part = turn * sides / 2.0f;
+                radius *= cos((part - rint(part)) * 2.0f * M_PI_F / sides) / inner;
+            }
+            const float ray = turn * rays;
+            const int start = min((int)ray / per_sector, sectors - 1) * per_sector;
+            const int j = start + clamp((int)ray - start, 1, per_sector - 2);
+            const float4 across = cubic(ray - j);
+            const float weight = weight_y[(a - low) * rows + y] * weight_x[(b - low) * cols + x];
+            const float2 weights = (float2)(weight, ((int)whole & 1) ? -weight : weight);
+            for (int n = 0; n < count; ++n) {
+                const float s = q[first + n] * radius;
+                if (s >= 1.0f) continue;
+                float rest;
+                const int i = node(s, length, &rest);
+                const float4 along = cubic(rest);
+                __global const float *near = table + 2 * (((size_t)(first + n) * (rays + 1) + j - 1) * length + i - 1);
+                const float8 line = across.x * vload8(0, near) + across.y * vload8(0, near + 2 * length)
+                                  + across.z * vload8(0, near + 4 * length) + across.w * vload8(0, near + 6 * length);
+                const float8 sum = line * along.xxyyzzww;
+                const float4 half_sum = sum.lo + sum.hi;
+                sums[n] += weights * (half_sum.lo + half_sum.hi);
+            }
+        }
+    for (int n = 0; n < count; ++n) tables[((size_t)(first + n) * rows + y) * cols + x] = sums[n];
+}

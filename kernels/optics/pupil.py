@@ -1,0 +1,142 @@
+"""Transfer tables of a lens of any pupil and wavefront, integrated over the pixel, one per wavelength.
+
+Ports: waves (bands, n, n) [waves], coefficients [i, j] of x^i y^j, and q (bands,) [1], the wavelength times the
+working f-number over the pixel pitch -> tables float32 [1]: the quarter (bands, rows // 2 + 1, cols // 2 + 1) when
+pupil and wavefront are the same at every angle, else the half (bands, rows, 2 (cols // 2 + 1)) of the transform, real
+and imaginary parts side by side; row i >= rows / 2 is the frequency i - rows.
+
+As in optics.airy the transfer function O of the optics is folded,
+
+    T(f) = sum over integers (a, b) of  O((f + (a, b)) q) K(fy + a) K(fx + b),
+    K(f) = sinc(w f) cos(pi d f) exp(-2 (pi sigma f)^2),
+
+w the aperture's width, d the distance of the two images that a birefringent plate makes along that axis, sigma the
+width of a Gaussian diffuser [pixel]. O is tabulated in float64 on the host, radially or along rays, and interpolated
+by cubics on the device. The nodes are even in sqrt(1 - s), s = 1 at the cut-off, where O ends as (1 - s)^(3/2).
+For a polygon, s is counted along each ray up to its own cut-off, and no cubic reaches across a ray on which O has an
+edge: the directions of the polygon's sides, and the corners of the cut-off.
+"""
+
+from math import ceil, floor
+
+import numpy as np
+
+from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
+from gpusim.kernels.optics.otf import defocus_only, hopkins, interpolated, peak_to_valley, scales, transfer
+from gpusim.kernels.stage import Case, stage
+
+BLOCK = 32  # bands of a CPU's work-item
+
+
+@stage
+def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0):
+    """Tables of the pixel-integrated transfer function: quarter (real) or half (complex), see above.
+
+    outline: Pupil. waves: shape (bands, n, n). q: shape (bands,), each > 0. aperture: width of the (square) pixel
+    aperture over the pitch. rows, cols: the period of the transform [pixel]. spots: distance of the images of a
+    birefringent low-pass along (y, x) [pixel], 0 for one image. diffuser: standard deviation [pixel].
+    """
+    waves, q = np.asarray(waves, np.float64), np.asarray(device.numpy(q), np.float32)
+    cutoff = 1 / float(q.min())
+    real = symmetric(outline, waves)
+    fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
+    fx = np.arange(cols // 2 + 1) / cols
+    low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
+    replicas = np.arange(low, high + 1)[:, None]
+    weight_y, weight_x = (
+        np.sinc(aperture * f) * np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
+        for f, spot in ((replicas + fy, spots[0]), (replicas + fx, spots[1])))
+    common = (device.array(q), device.array(weight_y), device.array(weight_x), device.array(fy), device.array(fx))
+    # a CPU's work-item makes a frequency of many bands: they share its direction and its replicas
+    block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
+    grid = (-(-len(q) // block), fy.size, fx.size)
+    launching = {"defines": {"BANDS": block}, "group": (1, 1, 1) if block > 1 else None}
+    if real:
+        table = device.array(radial_table(outline, waves))
+        tables = device.empty((len(q), fy.size, fx.size))
+        device.launch("optics.pupil", "radial", grid, table, *common, tables, low, high, table.shape[1],
+                      *tables.shape, **launching)
+        return tables
+    table, angle, sectors = polar_table(outline, waves)
+    sides, inner = cutoff_polygon(outline)
+    table = device.array(np.stack([table.real, table.imag], axis=-1))
+    shape = (len(q), fy.size, fx.size)
+    tables = device.empty((*shape[:2], 2 * shape[2]))
+    device.launch("optics.pupil", "polar", grid, table, *common, tables, low, high, angle, sides, inner,
+                  sectors, (table.shape[1] - 1) // sectors, table.shape[2], *shape, **launching)
+    return tables
+
+
+def radial_table(outline: Pupil, waves) -> np.ndarray:
+    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of."""
+    length = 512 * (1 + ceil(peak_to_valley(waves)))
+    s = 1 - np.linspace(1, 0, length) ** 2
+    if defocus_only(outline, waves):
+        return hopkins(s, waves[:, 2, 0, None] if waves.shape[-1] > 2 else 0 * waves[:, 0, :1])
+    return interpolated(outline, waves, s, np.zeros(1))[:, 0].real
+
+
+def polar_table(outline: Pupil, waves):
+    """O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
+
+    The rays are even over half a turn, both ends included; the nodes are those of `radial_table`, up to the cut-off
+    of each ray. O at the opposite frequency is the conjugate.
+    """
+    range_ = peak_to_valley(waves)
+    sides, inner = cutoff_polygon(outline)
+    sectors = max(1, 2 * outline.blades)
+    per_sector = max(8, ceil(48 * (1 + range_ / 2) / sectors))
+    first = outline.rotation + np.pi / outline.blades if sides else 0.0
+    turn = np.linspace(0, np.pi, sectors * per_sector + 1)
+    length = 192 + ceil(48 * range_)
+    s = 1 - np.linspace(1, 0, length) ** 2
+    if not sides:
+        table = interpolated(outline, waves, s, turn[:-1])
+    else:
+        step = 2 * np.pi / sides
+        ends = inner / np.cos(turn - step * np.rint(turn / step))
+        rays = np.arange(sectors * per_sector)
+        if symmetric(Pupil(), waves):  # the polygon's mirror lines are two sectors apart: one part makes all
+            rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
+        own = np.arange(rays.max() + 1)
+        radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
+        _, scaled, to_bands = scales(waves)
+        table = transfer(outline, scaled, (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), extra=10,
+                         fast=True).reshape(len(scaled), *radius.shape)
+        table = np.tensordot(to_bands, table, 1)[:, rays]
+    table[:, :, 0] = 1
+    return np.concatenate([table, table[:, :1].conj()], axis=1), first, sectors
+
+
+def cutoff_polygon(outline):
+    """Sides and inner radius of the polygon beyond which O is 0; no sides for the unit circle."""
+    n = outline.blades
+    if n % 2 == 0:
+        return n, float(np.cos(np.pi / n)) if n else 1.0
+    return 2 * n, (1 + float(np.cos(np.pi / n))) / 2  # a polygon and its mirror image, halfway
+
+
+def cases():
+    """Every kind of pupil and wavefront, a coarse and a fine pixel, odd periods, low-pass."""
+    why = ("cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
+           "that below 1.4e-5 of O(0) = 1; the replicas' weights sum to at most 2; float32 adds 1e-6")
+    blur = np.pad(disc_power(1), (0, 2))
+    defocus, spherical = np.array([0.8, 1.5])[:, None, None] * blur, 0.5 * disc_power(2)[None] - 0.4 * blur
+    corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
+    flat = np.zeros((1, 3, 3))
+    for name, outline, waves, q, aperture, rows, cols, spots, diffuser in (
+            ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
+            ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
+            ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
+            ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
+            ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
+            ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0)):
+        yield Case(name, {"outline": outline, "waves": waves, "q": np.array(q, np.float32), "aperture": aperture,
+                          "rows": rows, "cols": cols, "spots": spots, "diffuser": diffuser}, 3e-5, why)
+
+
+def bench(rows, cols):
+    """31 bands of a 1.4 um f/1.8 camera, a wave out of focus."""
+    wavelengths = np.linspace(400, 700, 31, dtype=np.float32)
+    return {"outline": Pupil(), "waves": (550 / wavelengths)[:, None, None] * disc_power(1),
+            "q": wavelengths * 1e-9 * 1.8 / 1.4e-6, "aperture": 1.0, "rows": rows, "cols": cols}

@@ -1,0 +1,75 @@
+"""Pixel-integrated transfer function of any pupil, float64: integrated at every frequency that folds.
+
+For whole frames that would take hours. Beyond EXACT frequencies, splines stand for the integral: through integrals at
+nodes of its own where pupil and wavefront are the same at every angle, else through the table of the rays, which the
+tests hold against the integral.
+"""
+
+import numpy as np
+from scipy.interpolate import CubicSpline, RectBivariateSpline
+
+from gpusim.domain.pupil import symmetric
+from gpusim.kernels.optics.otf import defocus_only, hopkins, peak_to_valley, transfer
+from gpusim.kernels.optics.pupil import cutoff_polygon, polar_table
+
+EXACT = 2000  # frequencies
+
+
+def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0):
+    """See the contract: a sum over the replicas (a, b) within the cut-off."""
+    waves = np.asarray(waves, np.float64)
+    real = symmetric(outline, waves)
+    fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
+    fx = np.arange(cols // 2 + 1) / cols
+    tables = np.zeros((len(q), fy.size, fx.size), complex)
+    value = _integral if tables.size < EXACT else _spline_radial if real else _spline_polar
+    for table, one_q, wave in zip(tables, np.asarray(q, np.float64), waves, strict=True):
+        otf = value(outline, wave[None])
+        reach = int(np.ceil(1 / one_q + 0.5))
+        for a in range(-reach, reach + 1):
+            for b in range(-reach, reach + 1):
+                y, x = np.broadcast_arrays(fy + a, fx + b)
+                inside = np.hypot(y, x) * one_q < 1
+                weight = np.sinc(aperture * y) * np.sinc(aperture * x)
+                weight = weight * np.cos(np.pi * spots[0] * y) * np.cos(np.pi * spots[1] * x)
+                weight = weight * np.exp(-2 * (np.pi * diffuser) ** 2 * (y * y + x * x))
+                table[inside] += weight[inside] * otf(x[inside] * one_q, y[inside] * one_q)
+    return tables.real.copy() if real else tables.view(np.float64)
+
+
+def _integral(outline, wave):
+    if defocus_only(outline, wave):
+        return lambda sx, sy: hopkins(np.hypot(sx, sy), wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0)
+    return lambda sx, sy: transfer(outline, wave, sx, sy)[0]
+
+
+def _spline_radial(outline, wave):
+    """Nodes even in t, s = 3 t^2 - 2 t^3, which is flat at both ends and at 1 takes the root's power to the third."""
+    t = np.linspace(0, 1, 1500 + int(1000 * peak_to_valley(wave)))
+    s = t * t * (3 - 2 * t)
+    spline = CubicSpline(t, np.real(_integral(outline, wave)(s, np.zeros_like(s))))
+    return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))  # the cubic's inverse
+
+
+def _spline_polar(outline, wave):
+    table, first, sectors = polar_table(outline, wave)
+    sides, inner = cutoff_polygon(outline)
+    size = (table.shape[1] - 1) // sectors
+    rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[2])
+    splines = [[RectBivariateSpline(rays[part], nodes, component[part]) for component in (table[0].real, table[0].imag)]
+               for part in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
+
+    def otf(sx, sy):
+        s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi
+        whole = np.floor(half_turns)
+        turn = half_turns - whole
+        if sides:
+            s = s * np.cos(2 * np.pi / sides * (turn * sides / 2 - np.rint(turn * sides / 2))) / inner
+        out, place = np.zeros(s.shape, complex), 1 - np.sqrt(np.maximum(1 - s, 0))
+        for k, (re, im) in enumerate(splines):
+            here = (s < 1) & (np.minimum((turn * sectors).astype(int), sectors - 1) == k)
+            at = turn[here] * sectors, place[here]
+            out[here] = re.ev(*at) + 1j * im.ev(*at) * np.where(whole[here] % 2, -1, 1)
+        return out
+
+    return otf

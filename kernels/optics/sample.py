@@ -1,0 +1,68 @@
+"""Pixels from a finer grid: each is a weighted sum of samples along both axes.
+
+Ports: planes (planes, fine_rows, fine_cols) float32, starts int32 (rows,) and (cols,), weights float32
+(rows, taps_y) and (cols, taps_x) [1] -> planes (planes, rows, cols) float32 of the planes' unit:
+
+    out(y, x) = sum over s, t of  weights_y[y, s] weights_x[x, t] planes(start_y[y] + s, start_x[x] + t).
+
+The planner makes the weights so that a pixel is the mean over its aperture (`gpusim.planner.sampling`).
+"""
+
+import numpy as np
+
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def sample(device, planes, start_y, weights_y, start_x, weights_x):
+    """Reduce every plane along its columns, then along its rows.
+
+    planes: shape (planes, fine_rows, fine_cols). start_y, start_x: first sample of every pixel, shapes (rows,) and
+    (cols,). weights_y, weights_x: shapes (rows, taps_y) and (cols, taps_x); every start + taps must lie in the planes.
+    Returns shape (planes, rows, cols).
+    """
+    count, fine_rows, fine_cols = planes.shape
+    (rows, taps_y), (cols, taps_x) = weights_y.shape, weights_x.shape
+    planes = device.array(planes)
+    middle, out = device.empty((count, rows, fine_cols)), device.empty((count, rows, cols))
+    # Columns first: neighbours in a row are neighbours in memory, and what is left for the gather is 1/ratio as much.
+    # Weights with the pixels along rows of memory, for the same reason.
+    for name, source, target, start, weights, taps in (
+            ("columns", planes, middle, start_y, weights_y, taps_y), ("rows", middle, out, start_x, weights_x, taps_x)):
+        weights = np.ascontiguousarray(np.transpose(device.numpy(weights)))
+        size = (fine_rows, rows, fine_cols) if name == "columns" else (rows, fine_cols, cols)
+        device.launch("optics.sample", name, target.shape, source, device.array(start, np.int32),
+                      device.array(weights), target, *(() if device.kind == "opencl" else (taps,)), count, *size,
+                      defines={"TAPS": taps})
+    return out
+
+
+def cases():
+    """One pixel of one sample, odd and even whole ratios, 1.25 and pi with a negative weight at one end."""
+    random = np.random.default_rng(12)
+    why = ("every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
+           "that add up to 1.5 per axis of samples up to 1; the largest pixel is at least 1.25 x 0.375 - 0.25 x 1.125")
+    for count, rows, cols, ratio, taps in ((1, 1, 1, 1.0, 1), (3, 5, 7, 3.0, 3), (2, 21, 40, 1.25, 7),
+                                           (4, 20, 65, np.pi, 9), (1, 33, 130, 2.0, 2)):
+        fine = [int(np.ceil(n * ratio)) + taps for n in (rows, cols)]
+        starts = [np.floor(ratio * np.arange(n)).astype(np.int32) for n in (rows, cols)]
+        weights = [random.uniform(0.5, 1, (n, taps)) for n in (rows, cols)]
+        for one in weights:
+            if ratio % 1:
+                one[:, -1] = 0
+            one /= one.sum(axis=1, keepdims=True)
+            if ratio % 1:
+                one *= 1.25
+                one[:, -1] = -0.25
+        yield Case(f"{rows}x{cols} from {fine[0]}x{fine[1]}, {count} planes, {taps} taps",
+                   {"planes": random.uniform(0.5, 1, (count, *fine)).astype(np.float32), "start_y": starts[0],
+                    "weights_y": weights[0].astype(np.float32), "start_x": starts[1],
+                    "weights_x": weights[1].astype(np.float32)}, (2 * taps + 2) * 6e-8 * 1.5**2 / 0.1875, why)
+
+
+def bench(rows, cols):
+    """Three channels of a frame from three samples a pixel at full fill."""
+    random = np.random.default_rng(12)
+    return {"planes": random.random((3, 3 * rows, 3 * cols), np.float32),
+            **{f"start_{axis}": 3 * np.arange(n, dtype=np.int32) for axis, n in (("y", rows), ("x", cols))},
+            **{f"weights_{axis}": np.full((n, 3), 1 / 3, np.float32) for axis, n in (("y", rows), ("x", cols))}}

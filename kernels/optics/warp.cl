@@ -1,0 +1,164 @@
+// One pixel of all PLANES that share a grid per work-item: its place and weights are found once.
+// Places stay differences from the pixel's own index, so that float32 keeps its fractions.
+
+#ifdef PLANES
+int inside(int i, const int n)  // index to read for sample i; the caller drops it where there is nothing
+{
+#if BORDER == 2
+    i %= 2 * n;
+    i = i < 0 ? i + 2 * n : i;
+    return i < n ? i : 2 * n - 1 - i;
+#else
+    return clamp(i, 0, n - 1);
+#endif
+}
+
+float4 keys(const float s)  // weights of the samples -1, 0, 1, 2 at s in 0 .. 1
+{
+    const float r = 1.0f - s;
+    return 0.5f * (float4)(-s * r * r, 2.0f - s * s * (5.0f - 3.0f * s), 2.0f - r * r * (5.0f - 3.0f * r), -r * s * s);
+}
+
+// First of four nodes and the weights of all for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers
+// as long as possible: the fraction is then as exact in the last cell as in the first.
+int nodes(const int half_steps, const int n, const int count, float *weights)
+{
+    const int at = half_steps * (count - 1);
+    const int first = clamp((int)(at * (0.5f / n)) - 1, 0, count - 4);
+    const float s = (at - first * 2 * n) * (0.5f / n), s1 = s - 1.0f, s2 = s - 2.0f, s3 = s - 3.0f;
+    weights[0] = s1 * s2 * s3 * (-1.0f / 6.0f);
+    weights[1] = s * s2 * s3 * 0.5f;
+    weights[2] = s * s1 * s3 * -0.5f;
+    weights[3] = s * s1 * s2 * (1.0f / 6.0f);
+    return first;
+}
+
+// Grids interpolated along the columns, once for every half-pixel row that the pixels' centres and corners lie on.
+__kernel void along_columns(
+    // in:
+    __global const float *restrict grids,  // [maps][ny][values], values = 3 nx
+    // out:
+    __global float *restrict lines,        // [maps][2 rows + 1][values]
+    // sizes:
+    const int maps, const int ny, const int values, const int rows)
+{
+    const int j = get_global_id(0), half_y = get_global_id(1), m = get_global_id(2);
+    GUARD(j >= values || half_y > 2 * rows || m >= maps)
+    float w[4];
+    const int i = nodes(half_y, rows, ny, w);
+    float total = 0.0f;
+#pragma unroll
+    for (int a = 0; a < 4; ++a) total += w[a] * grids[((size_t)m * ny + i + a) * values + j];
+    lines[((size_t)m * (2 * rows + 1) + half_y) * values + j] = total;
+}
+
+// Values at half-pixel column half_x of a line: row difference, column difference, flux factor.
+float3 place(__global const float *restrict line, const int half_x, const int nx, const int cols)
+{
+    float w[4];
+    const int j = nodes(half_x, cols, nx, w);
+    float v = 0.0f, u = 0.0f, flux = 0.0f;
+#pragma unroll
+    for (int b = 0; b < 4; ++b) {
+        v += w[b] * line[(j + b) * 3];
+        u += w[b] * line[(j + b) * 3 + 1];
+        flux += w[b] * line[(j + b) * 3 + 2];
+    }
+    return (float3)(v, u, flux);
+}
+
+__kernel void cubic(
+    // in:
+    __global const float *restrict planes, __global const float *restrict lines,
+    // out:
+    __global float *restrict out,
+    // sizes:
+    const int source_rows, const int source_cols, const int nx, const int maps, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), m = get_global_id(2);
+    GUARD(x >= cols || y >= rows || m >= maps)
+    const float3 at = place(lines + ((size_t)m * (2 * rows + 1) + 2 * y + 1) * nx * 3, 2 * x + 1, nx, cols);
+    const float floor_y = floor(at.x), floor_x = floor(at.y);
+    const int first_y = y + (int)floor_y - 1, first_x = x + (int)floor_x - 1;
+    const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
+    const float in_y[4] = {wy.x, wy.y, wy.z, wy.w}, in_x[4] = {wx.x, wx.y, wx.z, wx.w};
+    float total[PLANES];
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) total[p] = 0.0f;
+#pragma unroll
+    for (int a = 0; a < 4; ++a)
+#pragma unroll
+        for (int b = 0; b < 4; ++b) {
+            const int sy = inside(first_y + a, source_rows), sx = inside(first_x + b, source_cols);
+            const int dropped = BORDER == 0 && (sy != first_y + a || sx != first_x + b);
+            const float w = dropped ? 0.0f : in_y[a] * in_x[b];
+#pragma unroll
+            for (int p = 0; p < PLANES; ++p)
+                total[p] += w * planes[((size_t)(m * PLANES + p) * source_rows + sy) * source_cols + sx];
+        }
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * total[p];
+}
+
+#ifdef SPAN
+float mean_clamped(const float t0, const float t1)  // mean of clamp(t, 0, 1) over t between t0 and t1
+{
+    // (difference of the antiderivatives) / (t1 - t0), arranged so that nothing cancels when t1 is close to t0
+    const float low = fmin(t0, t1), high = fmax(t0, t1), d = high - low;
+    const float a = clamp(low, 0.0f, 1.0f), b = clamp(high, 0.0f, 1.0f);
+    const float sum = (b - a) * (0.5f * (a + b)) + (fmax(high, 1.0f) - fmax(low, 1.0f));
+    return d > 0.0f ? sum / d : a;
+}
+
+// Signed area within the unit square between its lower side and the edge (x0, y0) -> (x1, y1).
+float below(const float y0, const float x0, const float y1, const float x1)
+{
+    const float d = x1 - x0, a = clamp(x0, 0.0f, 1.0f), b = clamp(x1, 0.0f, 1.0f);
+    const float per = d != 0.0f ? 1.0f / d : 0.0f;
+    const float t0 = clamp((a - x0) * per, 0.0f, 1.0f), t1 = clamp((b - x0) * per, 0.0f, 1.0f);
+    return (b - a) * mean_clamped(y0 + t0 * (y1 - y0), y0 + t1 * (y1 - y0));
+}
+
+__kernel void area(
+    // in:
+    __global const float *restrict planes, __global const float *restrict lines,
+    // out:
+    __global float *restrict out,
+    // params:
+    const float density,
+    // sizes:
+    const int source_rows, const int source_cols, const int nx, const int maps, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), m = get_global_id(2);
+    GUARD(x >= cols || y >= rows || m >= maps)
+    __global const float *above = lines + ((size_t)m * (2 * rows + 1) + 2 * y) * nx * 3, *under = above + 6 * nx;
+    const float3 c00 = place(above, 2 * x, nx, cols);
+    const float3 c10 = place(under, 2 * x, nx, cols);
+    const float3 c11 = place(under, 2 * x + 2, nx, cols);
+    const float3 c01 = place(above, 2 * x + 2, nx, cols);
+    // corners from the first sample that the quadrilateral touches
+    const float low_y = floor(fmin(fmin(c00.x, c01.x), 1.0f + fmin(c10.x, c11.x)));
+    const float low_x = floor(fmin(fmin(c00.y, c10.y), 1.0f + fmin(c01.y, c11.y)));
+    const float y00 = c00.x - low_y, y10 = 1.0f + (c10.x - low_y), y11 = 1.0f + (c11.x - low_y), y01 = c01.x - low_y;
+    const float x00 = c00.y - low_x, x10 = c10.y - low_x, x11 = 1.0f + (c11.y - low_x), x01 = 1.0f + (c01.y - low_x);
+    const int first_y = y + (int)low_y, first_x = x + (int)low_x;
+    float total[PLANES];
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) total[p] = 0.0f;
+    for (int a = 0; a < SPAN; ++a)
+        for (int b = 0; b < SPAN; ++b) {
+            const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
+                                + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
+            const int sy = inside(first_y + a, source_rows), sx = inside(first_x + b, source_cols);
+            const int dropped = BORDER == 0 && (sy != first_y + a || sx != first_x + b);
+            // neighbours share their corners to rounding: what one pixel misses the other has; below zero is rounding
+            const float w = dropped ? 0.0f : fmax(overlap, 0.0f);
+#pragma unroll
+            for (int p = 0; p < PLANES; ++p)
+                total[p] += w * planes[((size_t)(m * PLANES + p) * source_rows + sy) * source_cols + sx];
+        }
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = density * total[p];
+}
+#endif
+#endif

@@ -1,0 +1,97 @@
+"""Flux-conserving resampling, float64: J times the cubic interpolant, or clipped quadrilaterals."""
+
+import numpy as np
+
+MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
+
+
+def _lagrange(grid, shape, rows, cols):
+    """Grid values at the pixel indices rows x cols of a frame of `shape`."""
+    def matrix(indices, length, count):
+        t = (indices + 0.5) * (count - 1) / length
+        first = np.clip(np.floor(t) - 1, 0, count - 4).astype(int)
+        nodes = np.arange(4)
+        weights = np.zeros((len(indices), count))
+        for a in range(4):
+            others = np.delete(nodes, a)
+            weights[np.arange(len(indices)), first + a] = (
+                np.prod(t[:, None] - first[:, None] - others, axis=1) / np.prod(nodes[a] - others))
+        return weights
+
+    return np.einsum("yi,xj,ijk->kyx", matrix(rows, shape[0], grid.shape[0]), matrix(cols, shape[1], grid.shape[1]),
+                     np.asarray(grid, np.float64), optimize=True)
+
+
+def _keys(t):
+    """The interpolation kernel of Keys, a = -1/2."""
+    t = np.abs(t)
+    return np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0))
+
+
+def _cubic(plane, grid, shape, border):
+    rows, cols = np.arange(shape[0]), np.arange(shape[1])
+    v, u, flux = _lagrange(grid, shape, rows, cols)
+    v, u = v + rows[:, None], u + cols
+    first_y, first_x = np.floor(v).astype(int) - 1, np.floor(u).astype(int) - 1
+    padded, top, left = _pad(plane, border, first_y, first_x, 4)
+    total = np.zeros(shape)
+    for a in range(4):
+        for b in range(4):
+            y, x = first_y + a, first_x + b
+            total += _keys(v - y) * _keys(u - x) * padded[y + top, x + left]
+    return flux * total
+
+
+def _pad(plane, border, first_y, first_x, size):
+    """The plane with as much around it as the indices first .. first + size - 1 need, and the offsets to it."""
+    pads = [(max(0, -int(first.min())), max(0, int(first.max()) + size - n))
+            for first, n in ((first_y, plane.shape[0]), (first_x, plane.shape[1]))]
+    return np.pad(np.asarray(plane, np.float64), pads, mode=MODES[border]), pads[0][0], pads[1][0]
+
+
+def _clip(polygons, axis, low):
+    """Part of each polygon (..., vertices, 2) with coordinate `axis` >= low (or <= -low when axis is negative).
+
+    Crossings of the line are inserted and what is beyond it is projected onto it, where it encloses no area.
+    """
+    sign, axis = (-1, ~axis) if axis < 0 else (1, axis)
+    p, q = polygons, np.roll(polygons, -1, axis=-2)
+    dp, dq = (sign * (side[..., axis] - low[..., None]) for side in (p, q))
+    crosses = (dp < 0) != (dq < 0)
+    t = np.divide(dp, dp - dq, out=np.zeros_like(dp), where=crosses)[..., None]
+    points = np.stack([p, p + t * (q - p)], axis=-2).reshape(*p.shape[:-2], -1, 2)  # t = 0 repeats p
+    limit = sign * low[..., None]
+    points[..., axis] = sign * np.maximum(sign * points[..., axis], limit)
+    return points
+
+
+def _area(plane, grid, shape, border, density):
+    rows, cols = np.arange(shape[0] + 1) - 0.5, np.arange(shape[1] + 1) - 0.5
+    v, u, _ = _lagrange(grid, shape, rows, cols)
+    corners = np.stack([v + rows[:, None], u + cols], axis=-1) + 0.5  # sample i covers i .. i + 1
+    quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-2)
+    first = np.floor(quads.min(axis=-2)).astype(int)
+    size = int((np.ceil(quads.max(axis=-2)) - first).max())
+    padded, top, left = _pad(plane, border, first[..., 0], first[..., 1], size)
+    total = np.zeros(shape)
+    for a in range(size):
+        y = first[..., 0] + a
+        strip = _clip(_clip(quads, 0, y), ~0, y + 1)
+        for b in range(size):
+            x = first[..., 1] + b
+            part = _clip(_clip(strip, 1, x), ~1, x + 1) - np.stack([y, x], axis=-1)[..., None, :]
+            after = np.roll(part, -1, axis=-2)
+            overlap = np.abs(np.sum(part[..., 0] * after[..., 1] - part[..., 1] * after[..., 0], axis=-1)) / 2
+            total += overlap * padded[y + top, x + left]
+    return density * total
+
+
+def warp(planes, grids, shape, border, method="cubic", density=1.0):
+    """See the contract."""
+    per_map = len(planes) // len(grids)
+    out = np.empty((len(planes), *shape))
+    for k, plane in enumerate(planes):
+        grid = grids[k // per_map]
+        out[k] = (_cubic(plane, grid, shape, border) if method == "cubic"
+                  else _area(plane, grid, shape, border, density))
+    return out

@@ -1,0 +1,194 @@
+"""One pixel of all planes that share a grid per thread; places are differences from the pixel's own index."""
+
+# mypy: ignore-errors
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def inside(i: int, n: int, border: int):  # index to read for sample i; the caller drops it for border 0
+    j = wp.clamp(i, 0, n - 1)
+    if border == 2:
+        j = i % (2 * n)
+        if j < 0:
+            j += 2 * n
+        if j >= n:
+            j = 2 * n - 1 - j
+    return j
+
+
+@wp.func
+def first_node(half_steps: int, n: int, count: int):
+    return wp.clamp(int(float(half_steps * (count - 1)) * (0.5 / float(n))) - 1, 0, count - 4)
+
+
+@wp.func
+def lagrange(half_steps: int, n: int, count: int, first: int):
+    # Weights of four nodes for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers as long as
+    # possible: the fraction is then as exact in the last cell as in the first.
+    s = float(half_steps * (count - 1) - first * 2 * n) * (0.5 / float(n))
+    s1 = s - 1.0
+    s2 = s - 2.0
+    s3 = s - 3.0
+    return wp.vec4(-s1 * s2 * s3 / 6.0, s * s2 * s3 * 0.5, -s * s1 * s3 * 0.5, s * s1 * s2 / 6.0)
+
+
+@wp.func
+def keys(s: float):  # weights of the samples -1, 0, 1, 2 at s in 0 .. 1
+    r = 1.0 - s
+    return 0.5 * wp.vec4(-s * r * r, 2.0 - s * s * (5.0 - 3.0 * s), 2.0 - r * r * (5.0 - 3.0 * r), -r * s * s)
+
+
+@wp.kernel
+def along_columns(
+    # in:
+    grids: wp.array3d[float],
+    # out:
+    lines: wp.array3d[float],
+    # sizes:
+    maps: int,
+    ny: int,
+    values: int,
+    rows: int,
+):
+    # once for every half-pixel row that the pixels' centres and corners lie on
+    m, half_y, j = wp.tid()
+    i = first_node(half_y, rows, ny)
+    w = lagrange(half_y, rows, ny, i)
+    total = float(0.0)
+    for a in range(4):
+        total += w[a] * grids[m, i + a, j]
+    lines[m, half_y, j] = total
+
+
+@wp.func
+def place(lines: wp.array3d[float], m: int, half_y: int, half_x: int, nx: int, cols: int):
+    j = first_node(half_x, cols, nx)
+    w = lagrange(half_x, cols, nx, j)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for b in range(4):
+        at = 3 * (j + b)
+        total += w[b] * wp.vec3(lines[m, half_y, at], lines[m, half_y, at + 1], lines[m, half_y, at + 2])
+    return total
+
+
+@wp.kernel
+def cubic(
+    # in:
+    planes: wp.array3d[float],
+    lines: wp.array3d[float],
+    # out:
+    out: wp.array3d[float],
+    # params:
+    border: int,
+    per_map: int,
+    # sizes:
+    source_rows: int,
+    source_cols: int,
+    nx: int,
+    maps: int,
+    rows: int,
+    cols: int,
+):
+    m, y, x = wp.tid()
+    at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
+    floor_y = wp.floor(at[0])
+    floor_x = wp.floor(at[1])
+    first_y = y + int(floor_y) - 1
+    first_x = x + int(floor_x) - 1
+    wy = keys(at[0] - floor_y)
+    wx = keys(at[1] - floor_x)
+    for p in range(m * per_map, (m + 1) * per_map):
+        total = float(0.0)
+        for a in range(4):
+            sy = inside(first_y + a, source_rows, border)
+            for b in range(4):
+                sx = inside(first_x + b, source_cols, border)
+                if border != 0 or (sy == first_y + a and sx == first_x + b):
+                    total += wy[a] * wx[b] * planes[p, sy, sx]
+        out[p, y, x] = at[2] * total
+
+
+@wp.func
+def mean_clamped(t0: float, t1: float):  # mean of clamp(t, 0, 1) over t between t0 and t1
+    # (difference of the antiderivatives) / (t1 - t0), arranged so that nothing cancels when t1 is close to t0
+    low = wp.min(t0, t1)
+    high = wp.max(t0, t1)
+    a = wp.clamp(low, 0.0, 1.0)
+    b = wp.clamp(high, 0.0, 1.0)
+    mean = a
+    if high > low:
+        mean = ((b - a) * (0.5 * (a + b)) + (wp.max(high, 1.0) - wp.max(low, 1.0))) / (high - low)
+    return mean
+
+
+@wp.func
+def below(y0: float, x0: float, y1: float, x1: float):
+    # signed area within the unit square between its lower side and the edge (x0, y0) -> (x1, y1)
+    d = x1 - x0
+    a = wp.clamp(x0, 0.0, 1.0)
+    b = wp.clamp(x1, 0.0, 1.0)
+    total = float(0.0)
+    if d != 0.0:
+        t0 = wp.clamp((a - x0) / d, 0.0, 1.0)
+        t1 = wp.clamp((b - x0) / d, 0.0, 1.0)
+        total = (b - a) * mean_clamped(y0 + t0 * (y1 - y0), y0 + t1 * (y1 - y0))
+    return total
+
+
+@wp.kernel
+def area(
+    # in:
+    planes: wp.array3d[float],
+    lines: wp.array3d[float],
+    # out:
+    out: wp.array3d[float],
+    # params:
+    density: float,
+    span: int,
+    border: int,
+    per_map: int,
+    # sizes:
+    source_rows: int,
+    source_cols: int,
+    nx: int,
+    maps: int,
+    rows: int,
+    cols: int,
+):
+    m, y, x = wp.tid()
+    c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
+    c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
+    c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
+    c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
+    # corners from the first sample that the quadrilateral touches
+    low_y = wp.floor(wp.min(wp.min(c00[0], c01[0]), 1.0 + wp.min(c10[0], c11[0])))
+    low_x = wp.floor(wp.min(wp.min(c00[1], c10[1]), 1.0 + wp.min(c01[1], c11[1])))
+    y00 = c00[0] - low_y
+    y10 = 1.0 + (c10[0] - low_y)
+    y11 = 1.0 + (c11[0] - low_y)
+    y01 = c01[0] - low_y
+    x00 = c00[1] - low_x
+    x10 = c10[1] - low_x
+    x11 = 1.0 + (c11[1] - low_x)
+    x01 = 1.0 + (c01[1] - low_x)
+    first_y = y + int(low_y)
+    first_x = x + int(low_x)
+    for p in range(m * per_map, (m + 1) * per_map):
+        out[p, y, x] = 0.0
+    for i in range(span):
+        sy = inside(first_y + i, source_rows, border)
+        a = float(i)
+        for j in range(span):
+            sx = inside(first_x + j, source_cols, border)
+            b = float(j)
+            overlap = (
+                below(y00 - a, x00 - b, y10 - a, x10 - b)
+                + below(y10 - a, x10 - b, y11 - a, x11 - b)
+                + below(y11 - a, x11 - b, y01 - a, x01 - b)
+                + below(y01 - a, x01 - b, y00 - a, x00 - b)
+            )
+            if overlap > 0.0 and (border != 0 or (sy == first_y + i and sx == first_x + j)):
+                for p in range(m * per_map, (m + 1) * per_map):
+                    out[p, y, x] = out[p, y, x] + density * overlap * planes[p, sy, sx]

@@ -1,0 +1,240 @@
+"""Field variation: overlap-add, eigen-kernels and radial tables against direct sums, seams, symmetry, refusals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from devices import DEVICES
+from lenses import MILD, STRONG, kernel, natural, scattered, scattered_at, seidel_lens, spread
+
+from gpusim.backends import open_device
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.fft import fft_length
+from gpusim.kernels.optics.field import field, transfer
+from gpusim.planner.field import choose, eigen_kernels, image_error, overlap_add
+from gpusim.planner.radial import RadialLens
+
+SIZE = 33
+ONE = np.ones((1, 1), np.float32)
+
+
+def blurred(plane, blur, device, border="reflect", **more):
+    """The stage on one plane."""
+    inputs = {"planes": plane[None].astype(np.float32), "gains": ONE, "border": border, **blur.stage_inputs, **more}
+    return field(**inputs, device=open_device(device))[0]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("border", ["zero", "edge", "reflect"])
+def test_a_kernel_at_every_pixel_is_the_brute_force(device, border):
+    """Nodes at every pixel leave no interpolation: what remains is float32, 2.5e-7 rms of the tile, 5 sigmas, twice."""
+    shape = (12, 19)
+    lens = seidel_lens(shape, STRONG, 9)
+    plane = natural(shape, 5)
+    blur = overlap_add(lens, shape, shape, fft_length, window="bilinear")
+    assert blur.error[0] < 1e-12
+    truth = scattered(plane, lens, border)
+    assert np.abs(blurred(plane, blur, device, border) - truth).max() < 2.5e-6 * truth.max()
+
+
+def check_accuracy(shape, points, waves, make, bound):
+    """True error at random pixels against direct sums, and the planner's prediction of it."""
+    lens = seidel_lens(shape, waves, SIZE)
+    plane = natural(shape, 1).astype(np.float32).astype(np.float64)
+    random = np.random.default_rng(0)
+    at = np.stack([random.integers(SIZE // 2, n - SIZE // 2, points) for n in shape], axis=1)
+    truth = scattered_at(plane, lens, at)
+    blur = make(lens)
+    error = blurred(plane, blur, DEVICES[0])[at[:, 0], at[:, 1]] - truth
+    true = np.sqrt(np.mean(error**2) / np.mean(truth**2))
+    assert true <= bound
+    assert 1 / 2.5 < blur.error[0] / true < 2.5  # the goal for every prediction
+    return blur
+
+
+def test_mild_lens_in_twelve_convolutions():
+    """Goal: relative RMS 1e-3 with at most 12 convolutions; the bound is the goal."""
+    shape = (540, 960)
+    check_accuracy(shape, 60, MILD, lambda lens: eigen_kernels(lens, shape, fft_length, terms=12), 1e-3)
+
+
+def test_strong_lens_by_overlap_add():
+    """Goal: relative RMS 1e-3 where no dozen eigen-kernels do (they leave 1.2e-2)."""
+    shape = (540, 960)
+    blur = check_accuracy(shape, 60, STRONG, lambda lens: overlap_add(lens, shape, (13, 17), fft_length), 1e-3)
+    lens = seidel_lens(shape, STRONG, SIZE)
+    assert eigen_kernels(lens, shape, fft_length, terms=12).error[0] > 10 * blur.error[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("waves", "grid", "terms"),
+                         [(MILD, None, 12), (MILD, (9, 13), None), (STRONG, (13, 17), None)])
+def test_field_accuracy_at_1080p(waves, grid, terms):
+    shape = (1080, 1920)
+    check_accuracy(shape, 200, waves, lambda lens: eigen_kernels(lens, shape, fft_length, terms=terms) if terms else
+                   overlap_add(lens, shape, grid, fft_length), 1e-3)
+
+
+def test_the_planner_takes_the_cheapest_that_is_good_enough():
+    """A nearly constant lens: one or two convolutions; a strong one: overlap-add; what cannot be met says so."""
+    shape = (270, 480)
+    weak = choose(seidel_lens(shape, (0.03, 0.02, 0.02), SIZE), shape, 1e-3, fft_length)
+    assert weak.method == "eigen-kernels" and weak.convolutions <= 2 and weak.error[0] <= 1e-3
+    strong = choose(seidel_lens(shape, STRONG, SIZE), shape, 1e-3, fft_length)
+    assert strong.method == "overlap-add" and strong.error[0] <= 1e-3
+    assert "image error" in strong.report
+    impossible = choose(seidel_lens((20, 30), STRONG, SIZE), (20, 30), 1e-9, fft_length)
+    assert impossible.error[0] > 1e-9
+
+
+def test_more_eigen_kernels_never_hurt():
+    """Hard case 18 for the field: beyond the numerical rank the error stays where it is."""
+    shape = (96, 160)
+    lens = seidel_lens(shape, (0.05, 0.0, 0.0), 15)
+    errors = [eigen_kernels(lens, shape, fft_length, terms=terms).error[0] for terms in (1, 2, 4, 40)]
+    assert all(after <= before * 1.01 + 1e-9 for before, after in pairwise(errors))
+
+
+def seam(shape, blur, device):
+    """Largest second difference over the local value, on a flat field and on a ramp of 1 % per pixel."""
+    largest = 0.0
+    for plane in (np.ones(shape), 1 + 0.01 * np.arange(shape[1]) * np.ones(shape)):
+        # the mirrored ramp has a kink of its own at the border
+        image = blurred(plane, blur, device).astype(np.float64)[SIZE:-SIZE, SIZE:-SIZE]
+        for axis in (0, 1):
+            second = np.diff(image, 2, axis=axis)
+            largest = max(largest, np.abs(second / image.take(range(1, image.shape[axis] - 1), axis=axis)).max())
+    return largest
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("method", ["quadratic", "cubic", "eigen"])
+def test_case_15_no_seams(device, method):
+    """Second differences stay below 1e-4 (the hard case's bound), on a frame so small that the field varies fast."""
+    shape = (180, 320)
+    lens = seidel_lens(shape, MILD, SIZE)
+    blur = (eigen_kernels(lens, shape, fft_length, terms=12) if method == "eigen" else
+            overlap_add(lens, shape, (9, 13), fft_length, window=method))
+    assert seam(shape, blur, device) < 1e-4
+
+
+def test_what_a_seam_looks_like():
+    """The measure finds the steps that bilinear weights leave, where the cells are small and the centroid moves."""
+    shape = (180, 320)
+    blur = overlap_add(seidel_lens(shape, MILD, SIZE), shape, (9, 13), fft_length, window="bilinear")
+    assert seam(shape, blur, DEVICES[0]) > 5e-4
+
+
+@pytest.mark.parametrize("window", ["bilinear", "cosine", "quadratic", "cubic"])
+def test_windows_are_a_partition_of_unity(window):
+    """Float64 weights to 1e-14; as float32, each term rounded by half an ulp of at most one."""
+    shape = (90, 160)
+    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (4, 6), fft_length, window=window)
+    assert np.abs(blur.coefficients.sum(axis=0) - 1).max() < 1e-14
+    total = blur.stage_inputs["coefficients"].astype(np.float64).sum(axis=0)
+    assert np.abs(total - 1).max() <= len(blur.coefficients) * 2.0**-25
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_case_14_coma_in_four_quadrants(device):
+    """Points near the four corners through a radial table: centroids within 0.02 pixel, mirror images to 1e-5."""
+    shape, size = (121, 161), 25
+    heights = np.linspace(0, 1, 17) * np.hypot(*shape) / 2
+    table = np.stack([spread(h, 0.0, MILD, 181) for h in np.linspace(0, 1, 17)])[:, None]
+    lens = RadialLens(heights, table, ((shape[0] - 1) / 2, (shape[1] - 1) / 2), size)
+    exact = seidel_lens(shape, MILD, size)
+    blur = overlap_add(lens, shape, (7, 9), fft_length)  # nodes 20 pixels apart
+    quadrants = [(20, 20), (20, 140), (100, 20), (100, 140)]
+    images = []
+    for y, x in quadrants:
+        plane = np.zeros(shape, np.float32)
+        plane[y, x] = 1
+        image = blurred(plane, blur, device)[y - 12 : y + 13, x - 12 : x + 13].astype(np.float64)
+        wanted = exact(np.array([[y, x]]))[0, 0]
+        offsets = np.arange(-12, 13)
+        for axis in (0, 1):
+            centroid, truth = ((one.sum(axis=1 - axis) * offsets).sum() / one.sum() for one in (image, wanted))
+            assert abs(centroid - truth) < 0.02
+        images.append(image[:: -1 if y > 60 else 1, :: -1 if x > 80 else 1])
+    for image in images[1:]:
+        assert np.abs(image - images[0]).max() < 1e-5 * images[0].max()
+
+
+@pytest.mark.parametrize(("waves", "heights", "bound"), [
+    # numerics, section 5: 9 heights leave 5.5e-4 of a mild lens, 33 leave 3.9e-4 of a strong one
+    (MILD, 9, 5.5e-4), (STRONG, 33, 3.9e-4)])
+def test_radial_tables_rotate_before_the_pixel(waves, heights, bound):
+    shape = (540, 960)
+    corner = np.hypot(*shape) / 2
+    table = np.stack([spread(h, 0.0, waves, 199) for h in np.linspace(0, 1, heights)])[:, None]
+    lens = RadialLens(np.linspace(0, corner, heights), table, ((shape[0] - 1) / 2, (shape[1] - 1) / 2), SIZE)
+    random = np.random.default_rng(4)
+    places = random.uniform(0, 1, (25, 2)) * (np.array(shape) - 1)
+    kernels, wanted = lens(places), seidel_lens(shape, waves, SIZE)(places)
+    assert image_error(kernels, wanted)[0] < bound
+    assert np.abs(kernels.sum(axis=(2, 3)) - 1).max() < 1e-12
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_highlights_are_spread_directly(device):
+    """Points of 1e6 on 1e-3: beside them, local error 1e-3 and nothing negative (hard case 1 for a varying field).
+
+    Direct sums round by 1e-6; outside the kernels' reach the transform no longer sees the points.
+    """
+    shape = (60, 90)
+    lens = seidel_lens(shape, MILD, 15)
+    blur = overlap_add(lens, shape, (4, 5), fft_length)
+    plane = np.full(shape, 1e-3)
+    plane[0, 40] = plane[30, 89] = plane[33, 44] = 1e6
+    inputs = {"planes": plane[None], "gains": ONE, "border": "reflect", **blur.stage_inputs}
+    truth = field(**inputs, device="numpy")[0]
+    image = blurred(plane, blur, device, threshold=0.1)
+    assert np.abs(image - truth).max() > 0 and image.min() > 0
+    assert (np.abs(image - truth) / truth).max() < 1e-3
+
+
+def test_transferred_kernels_are_used_again():
+    shape = (40, 60)
+    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (3, 4), fft_length)
+    device = open_device(DEVICES[0])
+    inputs = blur.stage_inputs
+    tables = transfer(device, inputs["kernels"], inputs["edges"])
+    plane = natural(shape, 2)
+    again = field(plane[None].astype(np.float32), gains=ONE, border="reflect", device=device, tables=tables, **inputs)
+    assert np.array_equal(blurred(plane, blur, device.name), device.numpy(again)[0])
+
+
+def test_bad_lenses_and_grids_are_refused():
+    shape = (30, 40)
+    good = seidel_lens(shape, MILD, 9)
+    with pytest.raises(OutOfRange, match="field grid = 1 x 4"):
+        overlap_add(good, shape, (1, 4), fft_length)
+    with pytest.raises(BadData, match=r"\(0.0, 0.0\) sums to 2, others to 1"):
+        overlap_add(lambda places: good(places) * (2 - (places.sum(axis=1) > 0))[:, None, None, None], shape, (3, 4),
+                    fft_length)
+    with pytest.raises(BadData, match="is even"):
+        eigen_kernels(lambda places: good(places)[..., :8, :8], shape, fft_length)
+    with pytest.raises(BadData, match=r"wanted shape"):
+        eigen_kernels(lambda places: good(places)[:, 0], shape, fft_length)
+    with pytest.raises(BadData, match="sums to nan"):
+        eigen_kernels(lambda places: good(places) * np.nan, shape, fft_length)
+    table = np.stack([spread(h, 0.0, MILD, 61) for h in (0, 1)])[:, None]
+    with pytest.raises(OutOfRange, match="ends at field height 10 pixels"):
+        RadialLens(np.array([0.0, 10.0]), table, (15, 20), 9)(np.array([[0, 0]]))
+    with pytest.raises(BadData, match="rising from 0"):
+        RadialLens(np.array([1.0, 10.0]), table, (15, 20), 9)
+    with pytest.raises(BadData, match="n odd"):
+        RadialLens(np.array([0.0, 10.0]), table[..., :60, :60], (15, 20), 9)
+
+
+def test_kernels_of_the_test_lens():
+    """The truth itself: sum one, mirror symmetry, and the on-axis kernel against the closed form of its transform."""
+    from gpusim.kernels.optics.airy_ref import airy
+
+    on_axis = kernel(0.0, 0.0, MILD, 63)
+    assert on_axis.sum() == pytest.approx(1, abs=1e-12)
+    table = airy([550e-9 * 2.8 / 1.4e-6], 1.0, 63, 63)[0]
+    fold = np.minimum(np.arange(63), 63 - np.arange(63))
+    # the pupil's edge is smooth over one of 29 samples of its radius: of the peak's energy about 1/29 comes from there,
+    # half of it spread otherwise
+    assert np.abs(np.fft.fftshift(np.fft.ifft2(table[np.ix_(fold, fold)]).real) - on_axis).max() < 0.02 * on_axis.max()
