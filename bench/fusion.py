@@ -19,6 +19,7 @@ from gpusim.data.charts import chart
 from gpusim.domain.scene import Cube
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
+from gpusim.planner.plan import BORDER_REACH
 from gpusim.scheduler import Simulator
 
 
@@ -64,7 +65,7 @@ def main():
     content = scene.content
     cube = np.ascontiguousarray(np.moveaxis(content.spectra.astype(np.float32)[content.ids], -1, 0))
     scene = replace(scene, content=Cube(content.wavelengths, cube))
-    exact = Simulator(camera, device=arguments.device)
+    exact = Simulator(camera, device=arguments.device, reach=BORDER_REACH)
     made = exact.plan(scene)
     truth = naive(cube.astype(np.float64), tables := _tables(made, np.float64), made.weights, made.period, cfa)
     tables = tables.astype(np.float32)
@@ -101,7 +102,7 @@ def _tables(made, dtype):
 def _of_rank(camera, device, scene, rank):
     """A simulator and its plan at the tolerance that makes the planner choose `rank`."""
     for limit in np.geomspace(1e-2, 1e-6, 60):
-        simulator = Simulator(camera, device=device, tolerance=Tolerance(rms=limit))
+        simulator = Simulator(camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH)
         plan = simulator.plan(scene)
         if plan.gains.shape[1] == rank and plan.transfers is not None:
             return simulator, plan

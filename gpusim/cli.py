@@ -43,7 +43,8 @@ def _simulate(arguments):
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
                        bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
-    simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance)
+    simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
+                          guaranteed=arguments.guaranteed, fft_free=arguments.fft_free)
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
     if arguments.frames > 1:
         from tqdm import tqdm
@@ -223,6 +224,8 @@ def _parser():
     simulate.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
     simulate.add_argument("--device", default="auto", help=device_help)
     simulate.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
+    simulate.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
+    simulate.add_argument("--fft-free", action="store_true", help="blur without Fourier transforms")
     simulate.add_argument("--seed", type=_whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
     simulate.add_argument("--frames", type=_whole(1, 10**6), default=1, metavar="N",
                           help="draw N noisy frames into numbered files")

@@ -23,6 +23,7 @@ from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.mosaic import mosaic, transform_lengths
+from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
@@ -36,12 +37,14 @@ from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.planner.highlights import point_kernels
+from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.psf import psf_tables
 from gpusim.planner.rendering import Rendering, rendering
 from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES, at_pixels, probe_pixels
 
+FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
 DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 
 
@@ -91,14 +94,16 @@ class Simulator:
     with `verify` the report says whether it is met; without one every wavelength is exact. guaranteed: predict for the
     worst spectrum there can be, a monochromatic point, and not for the scene's own. reach: pixels of surroundings on
     each side that take part in the blur; by default BORDER_REACH, or as many as the tolerance needs.
+    fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4).
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 guaranteed: bool = False, reach: int | None = None):
+                 guaranteed: bool = False, reach: int | None = None, fft_free: bool = False):
         self.camera = camera
         self.guaranteed = guaranteed
         self.reach = reach
+        self.fft_free = fft_free
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
@@ -169,7 +174,7 @@ class Simulator:
         if max(scene.samples) > most:
             raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
         made = plan(scene, self.camera, transform_lengths, fft_length, self._sampled_tables, self.tolerance,
-                    self.guaranteed, self.reach, self._keep)
+                    self.guaranteed, self.reach, self.fft_free, self._keep)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:
@@ -234,7 +239,12 @@ class Simulator:
                            device=device)
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            if made.depth is None:
+            if made.fft_free:
+                rates = nearfar(planes, self._keep("levels", self._transfer_key(made), lambda: self._levels(made)),
+                                made.gains, border, device=device)
+                if margin:
+                    rates = device.array(np.ascontiguousarray(device.numpy(rates)[:, margin:-margin, margin:-margin]))
+            elif made.depth is None:
                 rates = blur(planes, self._transfer(made), made.gains, border, made.period, margin=margin - made.spare,
                              device=device)
             else:
@@ -350,9 +360,20 @@ class Simulator:
     def _transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         assert made.gains is not None  # a plan with blur
-        key = (made.q.tobytes(), made.period, made.gains.shape,
-               made.transfers.tobytes() if made.transfers is not None else None)
-        return self._keep("transfer", key, lambda: self._make_transfer(made))
+        return self._keep("transfer", self._transfer_key(made), lambda: self._make_transfer(made))
+
+    def _transfer_key(self, made):
+        return (made.q.tobytes(), made.period, made.gains.shape,
+                made.transfers.tobytes() if made.transfers is not None else None)
+
+    def _levels(self, made: Plan):
+        """The plan's kernels as pyramids."""
+        reach = min(FFT_FREE_REACH, max(made.scene.samples))
+        period = (2 * reach + 2,) * 2
+        pitch, aperture = self._grid(made.scene.samples_per_pixel)
+        bands = self._bands(made.q, pitch, aperture, *period, self.device)
+        tables = self.device.numpy(self._combined(made, bands))
+        return levels_of([[kernel_of(table, period, reach) for table in group] for group in tables])
 
     def _bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
@@ -404,8 +425,9 @@ class Simulator:
             demosaic: "monochrome" if sensor.is_monochrome else f"{processor.demosaic} demosaicking",
             "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
         order = ("spectral.integrate", "spectral.materials", "optics.warp", "optics.airy", "optics.pupil",
-                 "optics.blur", "optics.composite", "optics.field", "optics.mosaic", "optics.splat", "optics.sample",
-                 "optics.gain", "sensor.expose", "sensor.noise", demosaic, "processor.color", "display.srgb")
+                 "optics.blur", "optics.nearfar", "optics.composite", "optics.field", "optics.mosaic", "optics.splat",
+                 "optics.sample", "optics.gain", "sensor.expose", "sensor.noise", demosaic, "processor.color",
+                 "display.srgb")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = type(scene.content).__name__.lower()

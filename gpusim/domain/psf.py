@@ -1,6 +1,6 @@
 """Point spreads that are given as arrays, or by a formula other than diffraction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -30,6 +30,7 @@ class PointSpread:
     integrated: bool = False
     heights: np.ndarray | None = None
     grid: tuple | None = None
+    _axes: tuple = field(init=False, repr=False, default=())
 
     def __post_init__(self):
         wavelengths, values = np.asarray(self.wavelengths, np.float64), np.asarray(self.values, np.float64)

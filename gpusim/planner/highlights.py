@@ -38,6 +38,15 @@ class Highlights:
     residue: float
 
 
+def unsplit_error(content: Cube | Basis | Materials, weights) -> float:
+    """Local error, over the median, beside highlights that stay in the planes; 0 without highlights."""
+    brightness = brightness_of(content, weights.sum(axis=0))
+    median = max(float(np.median(brightness)), 0.0)
+    if not brightness.max() > THRESHOLD * median:
+        return 0.0
+    return TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / max(median, 1e-38)
+
+
 def split_highlights(content: Cube | Basis | Materials, weights, q: float, margin: int):
     """Content without its highlights, and these (None where there are none).
 

@@ -1,6 +1,7 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from math import ceil, prod
 
 import numpy as np
@@ -25,6 +26,7 @@ from gpusim.planner.weights import product_weights
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.4), (0.25, 0.4), (0.0, 0.8), (0.45, 0.8))  # whose responses stand for the field's
+FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 over lenses of f/1.8 to f/8
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
@@ -51,7 +53,7 @@ class Plan:
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
     warp: where the lens puts the samples, None: where a pinhole would. gain: of every pixel, shape (rows, cols), where
         it is more than the cos^4 law.
-    folded: whether the blur gives the mosaic at once, in transforms of its phases.
+    folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
@@ -73,6 +75,7 @@ class Plan:
     warp: WarpGrid | None
     gain: np.ndarray | None
     folded: bool
+    fft_free: bool
     taps: tuple[Taps, Taps] | None
     spare: int
     q: np.ndarray
@@ -86,7 +89,7 @@ class Plan:
 
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
          tolerance: Tolerance | None = None, guaranteed: bool = False, reach: int | None = None,
-         keep=lambda _, __, make: make()) -> Plan:
+         fft_free: bool = False, keep=lambda _, __, make: make()) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     transform_lengths: function of the least (rows, cols) and the mosaic's period that gives the kernels' transform
@@ -97,7 +100,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     tolerance: wavelengths are fused into the fewest planes whose predicted error meets it; without one each is exact.
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
-    needs. keep: function (what, key, make) that may give what make() gave before for the same key.
+    needs. fft_free: blur by pyramids of separable kernels in place of transforms. keep: function (what, key, make) that
+    may give what make() gave before for the same key.
     A dark world (border "zero") gets at least
     half the frame, so that no light of the frame comes back on its other side.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the pixels are far too coarse for the lens.
@@ -149,15 +153,23 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
                          "what the transforms take: a smaller scene, reach or aperture")
     folded &= by_depth is None  # layers are laid over one another channel by channel
+    slow = optics.psf is None and not optics.is_symmetric
+    tables_of = partial(_quick_tables, optics, sensor.pixel_pitch) if slow else transfer_tables
     models, left_out, predicted, highlights, varying = {}, [], {}, None, None
     taps, spare = None, 0
     if ratio > 1:
         # the blur knows what is beyond the scene's samples; a picture without blur is constant over each of them
         blurred = optics.model != "none"
-        spare = min(SPARE, *((n - m) // 2 for n, m in zip(period, (rows, cols), strict=True))) if blurred else 0
+        if blurred and not fft_free:
+            spare = min(SPARE, *((n - m) // 2 for n, m in zip(period, (rows, cols), strict=True)))
         taps = _pixel_axes(scene, ratio, fill, spare, NODES if blurred else AREA)
         models["optics.sample"] = f"{ratio:.4g} samples per pixel, integrated over its aperture"
-    blur = "optics.mosaic" if folded else "optics.blur"
+    if fft_free and optics.model != "none":
+        if optics.varies or by_depth is not None or not optics.is_symmetric:
+            raise OutOfRange("fft_free", f"{optics.description}{', by depth' if by_depth is not None else ''}",
+                             "a blur that is the same all over the frame and at every angle")
+        folded = False
+    blur = "optics.nearfar" if fft_free else "optics.mosaic" if folded else "optics.blur"
     stage = "spectral.materials" if isinstance(content, Materials) else "spectral.integrate"
     form = type(content).__name__.lower()
     if optics.model == "none":
@@ -170,7 +182,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             content, highlights = split_highlights(content, weights, q.max(), scene.margin)
         flat = np.ones(len(nodes))
         if cell < 1:  # as points in the middle of the apertures, samples would count too much of a flat scene
-            flat = transfer_tables(q, cell, 2, 2, ratio)[:, 0, 0]
+            flat = transfer_tables(q, cell, 1, 1, ratio)[:, 0, 0]
         even = weights / flat
         table, gains, transfers, models[blur] = _exact(content, even, spectra)
         wrong = 0.0
@@ -182,7 +194,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             else:
                 tables = _sampled(lens, nodes, FIELD_POINTS if optics.varies else FIELD_POINTS[:1])
                 tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
-            if taps is not None:  # what the pixels average out is no wrong
+            if taps is not None:  # what the pixels average out is no error
                 fx = np.arange(SAMPLED_PERIOD // 2 + 1) / SAMPLED_PERIOD
                 fy = np.fft.fftfreq(SAMPLED_PERIOD) if tables.shape[-2] > len(fx) else fx
                 tables = tables * pixel_response(taps, fy, fx)
@@ -199,7 +211,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
-        predicted["relative rms"] = float(np.hypot(wrong, TRANSFORM_ERROR))
+        predicted["relative rms"] = float(np.hypot(wrong, FFT_FREE_ERROR if fft_free else TRANSFORM_ERROR))
     over = "the pixel" if ratio == 1 else "each scene sample"
     if gains is not None:
         if table is not None:
@@ -208,7 +220,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
         else:
             models["optics.pupil"] = f"{optics.description}, integrated over {over}"
-        models[blur] += ", folded into the mosaic" if folded else ""
+        models[blur] += ", folded into the mosaic" if folded else ", without transforms" if fft_free else ""
     if by_depth is not None:
         models["optics.composite"] = by_depth.model
         predicted |= by_depth.predicted
@@ -247,7 +259,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
     predicted["scene sampling"] = sampling_error(content, weights, q, share, ratio, fill, taps,
-                                                 None if gains is None else transfer_tables)
+                                                 None if gains is None else tables_of)
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
                  *([f"depth: {without}, so the blur is the same at all distances"] if without else [])]
@@ -259,7 +271,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += 20 * rows * cols * varying.convolutions  # maps in float64 and float32, planes times maps, spectra
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
     return Plan(scene, camera, weights, white_rate, table, gains, transfers, content, highlights, varying, by_depth,
-                warp, gain, folded, taps, spare, q, period, float(slope), needed, models, left_out, predicted)
+                warp, gain, folded, fft_free, taps, spare, q, period, float(slope), needed, models, left_out, predicted)
 
 
 def _by_depth(scene, depth, content, optics, pitch, weights, limit):
@@ -321,10 +333,23 @@ def _sampled(lens, wavelengths, places):
     chosen, between = wavelength_nodes(wavelengths)
     size = max(SAMPLED_PERIOD - 1, lens.least_size)
     kernels = np.stack([np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1)
-    whole = np.zeros((*kernels.shape[:2], SAMPLED_PERIOD, SAMPLED_PERIOD))
-    at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % SAMPLED_PERIOD
-    np.add.at(whole, (slice(None), slice(None), at[:, None], at), kernels)
+    return _transforms(kernels, SAMPLED_PERIOD, SAMPLED_PERIOD)
+
+
+def _transforms(kernels, rows, cols):
+    """Half spectra of centred kernels (..., m, m) wrapped into a period."""
+    whole = np.zeros((*kernels.shape[:-2], rows, cols))
+    y, x = ((np.arange(n) - n // 2) % period for n, period in zip(kernels.shape[-2:], (rows, cols), strict=True))
+    np.add.at(whole, (..., y[:, None], x), kernels)
     return np.fft.rfft2(whole)
+
+
+def _quick_tables(optics, pitch, q, aperture, rows, cols, finer):
+    """As `transfer_tables` gives them, for lenses whose exact tables take long: from kernels as large as the period."""
+    lens = open_lens(optics, pitch / finer, aperture, 0.0)
+    wavelengths = q * 1e9 * pitch / finer / optics.working_f_number
+    tables = _transforms(lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1), rows, cols)
+    return np.ascontiguousarray(tables).view(np.float64)
 
 
 def _varying(scene, content, response, lens, flat, shape, corner, limit, fft_length, keep):

@@ -40,7 +40,8 @@ def field(device, planes, coefficients, kernels, index, edges, gains, border, ma
     (channels, planes). border: "zero", "edge" or "reflect". margin: pixels of the planes on each side that are
     surroundings and not in the result; negative: of the result that are not in the planes. base: what is added, 0 if
     not given. threshold: values above it are spread by direct sums, so that what is dark beside them keeps its float32
-    accuracy (a transform errs by 2.5e-7 of its largest values everywhere). tables: `transfer(device, kernels, edges)`, to save its time when the same kernels are used again.
+    accuracy (a transform errs by 2.5e-7 of its largest values everywhere). tables: `transfer(device, kernels, edges)`,
+    to save its time when the same kernels are used again.
     Returns shape (channels, rows - 2 margin, cols - 2 margin).
     Source: Hirsch et al., CVPR 2010 (efficient filter flow); Lauer, Proc. SPIE 4847 (2002) (eigen-PSFs).
     """
