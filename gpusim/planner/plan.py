@@ -18,7 +18,7 @@ from gpusim.planner.depth import DepthPlan, flattened, plan_depth
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, warp_grid
-from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights
+from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, wavelength_nodes
 from gpusim.planner.sampling import AREA, NODES, SPARE, Taps, frame_start, pixel_response, pixel_taps, sampling_error
 from gpusim.planner.weights import product_weights
@@ -180,6 +180,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         ideal = optics.is_ideal and not optics.varies and optics.distortion is None and by_depth is None
         if ideal:  # the points' kernels are Airy's
             content, highlights = split_highlights(content, weights, q.max(), scene.margin)
+        elif left := unsplit_error(content, weights):
+            predicted["local error beside highlights"] = left
         flat = np.ones(len(nodes))
         if cell < 1:  # as points in the middle of the apertures, samples would count too much of a flat scene
             flat = transfer_tables(q, cell, 1, 1, ratio)[:, 0, 0]
