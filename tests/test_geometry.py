@@ -9,6 +9,7 @@ from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.warp import warp
+from gpusim.domain.sensor import Microlens
 from gpusim.planner.geometry import microlens_gain, relative_illumination, warp_grid
 
 PITCH = 1.4e-6
@@ -187,7 +188,7 @@ def test_falloff_of_lens_and_microlenses(device):
     shape, pupil = (31, 41), 60e-6
     lens = relative_illumination((0.0, -0.4), shape, PITCH, 1e-3)
     angles = np.radians(np.linspace(0, 60, 241))
-    micro = microlens_gain(shape, PITCH, pupil, angles, np.cos(angles), shift=0.5)
+    micro = microlens_gain(Microlens(angles, np.cos(angles), 0.5), shape, PITCH, pupil)
     r = np.hypot(*((np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2) * PITCH))
     wanted = (1 - 0.4 * (r / (PITCH * np.hypot(*shape) / 2)) ** 2) * np.cos(np.arctan(r / pupil)
                                                                           - np.arctan(0.5 * r / pupil))

@@ -145,7 +145,7 @@ def test_measured_point_spreads_over_the_field(device):
     optics = dataclasses.replace(mono.optics, model="measured", psf=spread, relative_illumination="none")
     simulator = gs.Simulator(dataclasses.replace(mono, optics=optics), device=device)
     plane = np.full((64, 96), 1e-9)
-    places = [(32, 48), (12, 20)]
+    places = [(50, 80), (12, 20)]
     for y, x in places:
         plane[y, x] = 1.0
     exposure = simulator.expose(cube(plane))
@@ -157,7 +157,7 @@ def test_measured_point_spreads_over_the_field(device):
         variance = (around.sum(axis=0) * offsets**2).sum() / around.sum()
         own = [(gaussian(s).sum(axis=0) * np.arange(-20, 21) ** 2).sum() / gaussian(s).sum() / ratio**2 for s in sigma]
         wanted = own[0] * (1 - height) + own[1] * height + mono.sensor.fill_factor / 12
-        assert variance == pytest.approx(wanted, rel=1e-3)  # of the floor, 1e-9 under 23^2 pixels, 2e-5
+        assert variance == pytest.approx(wanted, rel=1e-2)  # the field is interpolated
 
 
 def test_measured_grids_take_the_place():

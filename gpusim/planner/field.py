@@ -23,6 +23,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
 PROBES = 48  # places where a model is compared with the lens
+SPACING = 8  # [pixel] between them, at least
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
 GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))  # each holds the places of those before and of SAMPLES
@@ -173,7 +174,8 @@ def eigen_kernels(lens: Lens, shape, fft_length, terms=None, tolerance=1e-3, sam
     flat fields are exact at any number of terms. One set of coefficients serves all planes.
     Source: Lauer, Proc. SPIE 4847 (2002); the weight makes the truncation error that of an image, not of a kernel.
     """
-    nodes = [np.linspace(0, size - 1, min(count, size)) for size, count in zip(shape, samples, strict=True)]
+    nodes = [np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
+             for size, count in zip(shape, samples, strict=True)]
     places = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
     kernels = _kernels(lens, places)
     mean = kernels.mean(axis=0)

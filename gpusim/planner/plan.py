@@ -207,7 +207,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                 keep)
             table = inputs @ spectra.T
             models["optics.field"] = varying.report
-            predicted["field at the worst place"] = varying.wrong[1]
+            predicted["field at the worst place"] = varying.error[1]
         elif limit is not None:
             fused = (_guaranteed if guaranteed else _fused)(scene, content, response, gains.shape[1], limit)
             if fused:
