@@ -7,9 +7,9 @@ from devices import DEVICES
 from gpusim.backends import open_device
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.sensor import Microlens
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.warp import warp
-from gpusim.domain.sensor import Microlens
 from gpusim.planner.geometry import microlens_gain, relative_illumination, warp_grid
 
 PITCH = 1.4e-6

@@ -36,7 +36,8 @@ def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), dif
     aperture over the pitch. rows, cols: the period of the transform [pixel]. spots: distance of the images of a
     birefringent low-pass along (y, x) [pixel], 0 for one image. diffuser: standard deviation [pixel].
     """
-    waves, q = np.asarray(waves, np.float64), np.asarray(device.numpy(q), np.float32)
+    waves = np.asarray(device.numpy(waves), np.float64)
+    q = np.asarray(device.numpy(q), np.float32)
     cutoff = 1 / float(q.min())
     real = symmetric(outline, waves)
     fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
