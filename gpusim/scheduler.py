@@ -102,6 +102,8 @@ class Simulator:
                  guaranteed: bool = False, reach: int | None = None, fft_free: bool = False):
         self.camera = camera
         self.guaranteed = guaranteed
+        if reach is not None and (int(reach) != reach or not 1 <= reach <= LENGTHS[-1] // 4):
+            raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {LENGTHS[-1] // 4}")
         self.reach = reach
         self.fft_free = fft_free
         self.device = open_device(device) if isinstance(device, str) else device
@@ -126,6 +128,9 @@ class Simulator:
         reference and report the true error.
         Raises BadData, DoesNotFit (memory, before anything is allocated), OutOfRange.
         """
+        if verify and self.camera.optics.varies and scene.samples_per_pixel != 1:
+            raise OutOfRange("verify", f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over "
+                             "the field", "1 sample per pixel")
         exposure = self.expose(scene)
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
         error = None
@@ -240,8 +245,9 @@ class Simulator:
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
             if made.fft_free:
-                rates = nearfar(planes, self._keep("levels", self._transfer_key(made), lambda: self._levels(made)),
-                                made.gains, border, device=device)
+                key = (made.scene.samples, *self._transfer_key(made))
+                levels = self._keep("levels", key, lambda: self._levels(made))
+                rates = nearfar(planes, levels, made.gains, border, device=device)
                 if margin:
                     rates = device.array(np.ascontiguousarray(device.numpy(rates)[:, margin:-margin, margin:-margin]))
             elif made.depth is None:
@@ -315,7 +321,7 @@ class Simulator:
         reach = int(lights.reach.max())
         aperture = self._grid(made.scene.samples_per_pixel)[1]
         kernels = self._keep("points", (made.q.tobytes(), reach), lambda: point_kernels(made.q, aperture, reach))
-        weights = lights.spectra[:, None] * made.weights  # (kernels, channels, L)
+        weights = lights.spectra[:, None] * (made.weights / made.flat)  # (kernels, channels, L)
         cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
         places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
         shape = kernels.step, kernels.parts, kernels.spread
@@ -384,7 +390,7 @@ class Simulator:
         optics = self.camera.optics
         if optics.psf is not None:
             return device.array(psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows,
-                                           cols, whole=whole))
+                                           cols, finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole))
         if optics.is_ideal and distance is None:
             return airy(device.array(q), aperture, rows, cols, device=device)
         waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import OutOfRange
 from gpusim.planner.lens import open_lens, wavelength_nodes
 
 PROBES = 16  # pixels
@@ -38,29 +37,27 @@ def at_pixels(reference, scene, made, exposure_time, pixels) -> np.ndarray:
 
     reference: Simulator of the camera on the device "numpy". made: the plan of its frame. Each wavelength by itself:
     the whole frame with the lens as on the axis, and at each pixel the light of all others around it, spread by the
-    difference of their own kernels from that on the axis.
+    difference of their own kernels from that on the axis. The scene has one sample per pixel.
     """
-    if made.taps is not None:
-        raise OutOfRange("verify", f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the "
-                         "field", "1 sample per pixel")
     camera = reference.camera
     plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
     base = type(reference)(plain, device="numpy", reach=max(scene.shape)).expose(scene, exposure_time).mean
-    cfa, margin, half = camera.sensor.cfa_indices, scene.margin, SIZE // 2
+    rows, cols = scene.shape
+    lens = open_lens(camera.optics, camera.sensor.pixel_pitch, np.sqrt(camera.sensor.fill_factor), (rows, cols))
+    size = max(SIZE, lens.least_size // 2 * 2 + 1)
+    cfa, margin, half = camera.sensor.cfa_indices, scene.margin, size // 2
     planes = reference.light(made)
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}
     planes = np.pad(planes, ((0, 0), (half, half), (half, half)), mode=modes[scene.border])
-    rows, cols = scene.shape
     corner = np.hypot(rows, cols) / 2
-    lens = open_lens(camera.optics, camera.sensor.pixel_pitch, np.sqrt(camera.sensor.fill_factor), corner)
     nodes, between = wavelength_nodes(scene.wavelengths)
-    axis = lens.kernels(nodes, (0.0, 0.0), SIZE)
+    axis = lens.kernels(nodes, (0.0, 0.0), size)
     steps = np.linspace(-half, half, PLACES)
     basis = np.linalg.solve(np.vander(steps).T, np.vander(np.arange(-half, half + 1), PLACES).T)  # Lagrange's
     out = np.empty(len(pixels))
     for k, (y, x) in enumerate(pixels):
         channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
-        patch = planes[:, margin + y : margin + y + SIZE, margin + x : margin + x + SIZE]
+        patch = planes[:, margin + y : margin + y + size, margin + x : margin + x + size]
         patch = np.einsum("l,ln,lij->nij", made.weights[channel], between, patch, optimize=True)
         total = 0.0
         for dy, along_y in zip(steps, basis, strict=True):
@@ -68,7 +65,7 @@ def at_pixels(reference, scene, made, exposure_time, pixels) -> np.ndarray:
                 # light outside the frame is spread as that of the nearest pixel of the planes
                 place = (np.clip(y + dy, -margin, rows - 1 + margin) - (rows - 1) / 2,
                          np.clip(x + dx, -margin, cols - 1 + margin) - (cols - 1) / 2)
-                kernels = lens.kernels(nodes, np.array(place) / corner, SIZE) - axis
+                kernels = lens.kernels(nodes, np.array(place) / corner, size) - axis
                 # light at s gives its kernel's entry x - s
                 total += np.einsum("nij,nij,i,j->", patch, kernels[:, ::-1, ::-1], along_y, along_x, optimize=True)
         v, u = (y - (rows - 1) / 2) * made.slope, (x - (cols - 1) / 2) * made.slope

@@ -154,6 +154,7 @@ def ratios(camera, scene, tables):
             yield operator.predicted(rank, own) / relative(result, truth)
 
 
+@pytest.mark.slow
 def test_prediction_of_48_scenes():
     """Predicted over true within [1/2.5, 2.5] on at least 95 % of scenes, ranks and priors."""
     tables = {}

@@ -105,6 +105,12 @@ def _pupil(value):
     return Pupil(**{key.removesuffix("_deg"): known[key](item) for key, item in value.items()})
 
 
+def _numbers_or_lists(value):
+    if type(value) is list and value and all(type(item) is list for item in value):
+        return tuple(_numbers()(item) for item in value)
+    return _numbers()(value)
+
+
 def _distortion(value):
     models = {("k1", "k2", "radius_mm"): RadialPolynomial, ("k1", "k2", "k3", "p1", "p2", "radius_mm"): BrownConrady}
     keys = tuple(value) if type(value) is dict else ()
@@ -157,7 +163,8 @@ _OPTICS = {
     "pupil": ("pupil", _pupil),
     "defocus_um": ("defocus", _micrometres_or_curve),
     "defocus_diopters": ("diopters", _number()),
-    "zernike_waves": ("zernike", _numbers()),
+    "zernike_waves": ("zernike", _numbers_or_lists),
+    "zernike_heights": ("heights", _numbers()),
     "seidel_waves": ("seidel", _numbers(5)),
     "reference_nm": ("reference", _number()),
     "birefringence_um": ("birefringence", _numbers(2, _MICRO)),
@@ -235,7 +242,7 @@ def _lens(path, fields):
     if not isinstance(defocus, float):
         table = _single(path, "[optics] defocus_um", defocus)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / _MICRO, table.name)
-    aberrations = {key: fields.pop(key) for key in ("zernike", "seidel", "reference") if key in fields}
+    aberrations = {key: fields.pop(key) for key in ("zernike", "heights", "seidel", "reference") if key in fields}
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:

@@ -82,7 +82,17 @@ class Optics:
             defocus = np.abs(defocus.values).max()
         if not abs(defocus) < self.image_distance / 2:  # the formulas are first order in defocus / image distance
             raise OutOfRange("optics.defocus", f"{defocus:.6g} m", f"less than half of {self.image_distance:.6g} m")
-        if len(self.birefringence) != 2 or not all(0 <= length < 1e-3 for length in self.birefringence):
+        lateral = self.lateral_color
+        if isinstance(lateral, Spectrum):
+            lateral = lateral.values
+            if lateral.ndim != 1:
+                raise BadData(f"optics.lateral_color: wanted one function of wavelength, got {len(lateral)}")
+        if not (np.abs(lateral) < 0.5).all():  # also refuses NaN
+            raise OutOfRange("optics.lateral_color", self.lateral_color, "-0.5 < lateral_color < 0.5")
+        if self.model == "measured" and np.any(lateral):
+            raise BadData("optics.lateral_color: measured point spreads hold it; wanted 0")
+        apart = np.asarray(self.birefringence)
+        if apart.shape != (2,) or not ((apart >= 0) & (apart < 1e-3)).all():
             raise OutOfRange("optics.birefringence", self.birefringence, "two lengths, 0 <= length < 1 mm")
         if not 0 <= self.diffuser < 1e-3:
             raise OutOfRange("optics.diffuser", f"{self.diffuser:.6g} m", "0 <= diffuser < 1 mm")
@@ -146,7 +156,8 @@ class Optics:
         """Whether the blur is not the same all over the field."""
         if self.model == "none":
             return False
-        if np.any(self.lateral_color_at([400.0, 550.0, 700.0])):
+        lateral = self.lateral_color
+        if np.any(lateral.values if isinstance(lateral, Spectrum) else lateral):
             return True
         if self.psf is not None:
             return self.psf.heights is not None or self.psf.grid is not None

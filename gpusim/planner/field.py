@@ -62,6 +62,12 @@ class FieldBlur:
         return {"coefficients": self.coefficients.astype(np.float32), "kernels": self.kernels.astype(np.float32),
                 "index": self.index.astype(np.int32), "edges": self.edges}
 
+    def bytes_of_tiles(self, fft_length, channels) -> int:
+        """Memory of the kernels' spectra and the blurred tiles [byte]."""
+        count, planes, m, _ = self.kernels.shape
+        rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
+        return 8 * count * planes * rows * (cols // 2 + 1) + 4 * channels * len(self.index) * rows * cols
+
     @property
     def report(self) -> str:
         """One line of what a user should know."""

@@ -226,7 +226,7 @@ def channel_operator(response: Response, planes: int) -> ChannelOperator:
         for c in range(channels):
             row = rho[c] * emphasis
             first = row * np.real(response.tables[:, 0])
-            first = first[:, None] / np.linalg.norm(first)
+            first = first[:, None] / max(np.linalg.norm(first), 1e-300)  # a channel may see nothing
             others = np.eye(bands) - first @ first.T
             gram = row[:, None] * optical * row
             vectors = np.linalg.eigh(others @ gram @ others)[1][:, ::-1]

@@ -120,6 +120,8 @@ def relative_illumination(model, shape, pitch, image_distance, radius=None) -> n
         if h.max() > heights[-1] * (1 + 1e-9):
             raise OutOfRange("relative illumination table", f"ends at field height {heights[-1]:.6g}",
                              f"as far as the frame's corner, {h.max():.6g}")
+        if not values[0] > 0:
+            raise OutOfRange("relative illumination table", f"{values[0]:.6g} on the axis", "> 0")
         gain = np.interp(h, heights, values) / values[0]
     else:
         gain = np.polynomial.polynomial.polyval(h, (1.0, *model))

@@ -41,10 +41,19 @@ class Highlights:
 def unsplit_error(content: Cube | Basis | Materials, weights) -> float:
     """Local error, over the median, beside highlights that stay in the planes; 0 without highlights."""
     brightness = brightness_of(content, weights.sum(axis=0))
-    median = max(float(np.median(brightness)), 0.0)
-    if not brightness.max() > THRESHOLD * median:
+    median = _level(brightness)
+    if not 0 < THRESHOLD * median < brightness.max():
         return 0.0
-    return TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / max(median, 1e-38)
+    return TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / median
+
+
+def _level(brightness):
+    """The median; that of what is lit where more than MOST pixels are and the rest is dark."""
+    step = max(1, int(np.sqrt(brightness.size / 2**16)))
+    median = float(np.median(brightness[::step, ::step]))
+    if median > 0 or np.count_nonzero(brightness > 0) <= MOST:
+        return max(median, 0.0)
+    return float(np.median(brightness[brightness > 0]))
 
 
 def split_highlights(content: Cube | Basis | Materials, weights, q: float, margin: int):
@@ -55,8 +64,7 @@ def split_highlights(content: Cube | Basis | Materials, weights, q: float, margi
     """
     total = weights.sum(axis=0)
     brightness = brightness_of(content, total)
-    step = max(1, int(np.sqrt(brightness.size / 2**16)))
-    median = max(float(np.median(brightness[::step, ::step])), 0.0)
+    median = _level(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
     if not len(bright):
         return content, None

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import fourier_gaussian
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
@@ -52,6 +53,8 @@ class PupilLens:
         for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
             kernel[:] = self._kernel(wavelength * 1e-9 * optics.working_f_number / self.pitch, wave, size,
                                      (shift * y, shift * x))
+            if optics.diffuser:
+                kernel[:] = np.fft.ifft2(fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)).real
         return out / out.sum(axis=(1, 2), keepdims=True)
 
     def _kernel(self, q, wave, size, shift):
@@ -95,6 +98,7 @@ class MeasuredLens:
     spread: PointSpread
     pitch: float
     aperture: float
+    corner: tuple[float, float]  # the frame's; places beyond take the spread of the frame's border
 
     @property
     def least_size(self) -> int:
@@ -104,15 +108,17 @@ class MeasuredLens:
     def kernels(self, wavelengths, place, size) -> np.ndarray:
         """As those of `PupilLens`; raises OutOfRange where the spread is larger than `size` pixels."""
         wavelengths = np.asarray(wavelengths, np.float64)
+        place = tuple(float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True))
         tables = psf_tables(self.spread, wavelengths, self.pitch, self.aperture, size, size, place=place)
         kernels = np.fft.fftshift(np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
 
-def open_lens(optics: Optics, pitch, aperture, corner):
-    """The lens that `optics` describes."""
+def open_lens(optics: Optics, pitch, aperture, shape):
+    """The lens that `optics` describes, before a frame of `shape` = (rows, cols) pixels of `pitch`."""
+    corner = float(np.hypot(*shape)) / 2
     if optics.psf is not None:
-        return MeasuredLens(optics, optics.psf, pitch, aperture)
+        return MeasuredLens(optics, optics.psf, pitch, aperture, tuple(n / 2 / corner for n in shape))
     return PupilLens(optics, pitch, aperture, corner)
 
 

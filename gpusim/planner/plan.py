@@ -25,7 +25,8 @@ from gpusim.planner.weights import product_weights
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
-FIELD_POINTS = ((0.0, 0.0), (0.0, 0.4), (0.25, 0.4), (0.0, 0.8), (0.45, 0.8))  # whose responses stand for the field's
+# Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
+FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
 FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 over lenses of f/1.8 to f/8
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
@@ -42,6 +43,7 @@ class Plan:
     weights: electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
     white_rate: electrons per second that a perfect white diffuser gives in each channel, on axis, shape (C,); None
         when the scene's light is unknown.
+    flat: what a flat field of each wavelength gives where a point in the middle of the aperture gives 1, shape (L,).
     table: planes from content entries (bands, basis coefficients or materials), shape (planes, entries), or None where
         the content's own planes are used.
     gains: channels from blurred planes, shape (C, planes); without blur the planes are the channels and it is None.
@@ -65,6 +67,7 @@ class Plan:
     camera: Camera
     weights: np.ndarray
     white_rate: np.ndarray | None
+    flat: np.ndarray
     table: np.ndarray | None
     gains: np.ndarray | None
     transfers: np.ndarray | None
@@ -153,6 +156,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
                          "what the transforms take: a smaller scene, reach or aperture")
     folded &= by_depth is None  # layers are laid over one another channel by channel
+    flat = np.ones(len(nodes))
     slow = optics.psf is None and not optics.is_symmetric
     tables_of = partial(_quick_tables, optics, sensor.pixel_pitch) if slow else transfer_tables
     models, left_out, predicted, highlights, varying = {}, [], {}, None, None
@@ -175,14 +179,14 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if optics.model == "none":
         table, gains, transfers = weights @ spectra.T, None, None
         models[stage] = f"{form} of {len(spectra)} entries straight to {len(weights)} channels (no blur to apply)"
-        left_out.append('diffraction: optics.model is "none"')
+        left_out.append('diffraction, lateral colour: optics.model is "none"' if np.any(optics.lateral_color_at(nodes))
+                        else 'diffraction: optics.model is "none"')
     else:
         ideal = optics.is_ideal and not optics.varies and optics.distortion is None and by_depth is None
         if ideal:  # the points' kernels are Airy's
             content, highlights = split_highlights(content, weights, q.max(), scene.margin)
         elif left := unsplit_error(content, weights):
             predicted["local error beside highlights"] = left
-        flat = np.ones(len(nodes))
         if cell < 1:  # as points in the middle of the apertures, samples would count too much of a flat scene
             flat = transfer_tables(q, cell, 1, 1, ratio)[:, 0, 0]
         even = weights / flat
@@ -190,11 +194,12 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         wrong = 0.0
         if optics.varies or limit is not None:
             corner = float(np.hypot(*scene.samples)) / 2
-            lens = open_lens(optics, sensor.pixel_pitch / ratio, cell, corner)
+            lens = open_lens(optics, sensor.pixel_pitch / ratio, cell, scene.samples)
             if optics.is_symmetric and not optics.varies:
                 tables = transfer_tables(q, cell, SAMPLED_PERIOD, SAMPLED_PERIOD, ratio)
             else:
-                tables = _sampled(lens, nodes, FIELD_POINTS if optics.varies else FIELD_POINTS[:1])
+                half = np.array(scene.samples) / 2 / corner
+                tables = _sampled(lens, nodes, half * FIELD_POINTS if optics.varies else FIELD_POINTS[:1])
                 tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
             if taps is not None:  # what the pixels average out is no error
                 fx = np.arange(SAMPLED_PERIOD // 2 + 1) / SAMPLED_PERIOD
@@ -203,8 +208,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             response = Response.of(even, tables, sensor.cfa_indices)
         if optics.varies:
             inputs, transfers, gains, varying, wrong, models[blur] = _varying(
-                scene, content, response, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE, fft_length,
-                keep)
+                scene, content, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
+                fft_length, keep)
             table = inputs @ spectra.T
             models["optics.field"] = varying.report
             predicted["field at the worst place"] = varying.error[1]
@@ -271,9 +276,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += 16 * len(weights) * rows * cols * len(by_depth.kernels) * by_depth.layers
     if varying is not None:
         needed += 20 * rows * cols * varying.convolutions  # maps in float64 and float32, planes times maps, spectra
+        needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
-    return Plan(scene, camera, weights, white_rate, table, gains, transfers, content, highlights, varying, by_depth,
-                warp, gain, folded, fft_free, taps, spare, q, period, float(slope), needed, models, left_out, predicted)
+    return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
+                by_depth, warp, gain, folded, fft_free, taps, spare, q, period, float(slope), needed, models, left_out,
+                predicted)
 
 
 def _by_depth(scene, depth, content, optics, pitch, weights, limit):
@@ -348,13 +355,13 @@ def _transforms(kernels, rows, cols):
 
 def _quick_tables(optics, pitch, q, aperture, rows, cols, finer):
     """As `transfer_tables` gives them, for lenses whose exact tables take long: from kernels as large as the period."""
-    lens = open_lens(optics, pitch / finer, aperture, 0.0)
+    lens = open_lens(optics, pitch / finer, aperture, (1, 1))
     wavelengths = q * 1e9 * pitch / finer / optics.working_f_number
     tables = _transforms(lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1), rows, cols)
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _varying(scene, content, response, lens, flat, shape, corner, limit, fft_length, keep):
+def _varying(scene, content, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
     """Planes, transfers on the axis, gains, field-varying rest, error and description of a blur that varies.
 
     Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
@@ -362,14 +369,18 @@ def _varying(scene, content, response, lens, flat, shape, corner, limit, fft_len
     """
     own, channels = Spectra.of(content), len(response.weights)
     prior = _prior(scene, content, own)
-    operators = [joint_operator(response.channel(c), prior) for c in range(channels)]
+    operators = [] if guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
     for count in range(1, MOST_PLANES + 1):
-        parts = [one.transfers(count)[0] for one in operators]
-        table, transfers = np.vstack([one.w_in[:, :count].T for one in operators]), np.vstack(parts)
-        gains = (np.repeat(np.arange(channels), [len(part) for part in parts]) == np.arange(channels)[:, None]) * 1.0
-        error = response.error(table, gains[:, :, None] * transfers, own)
-        if PREDICTION_FACTOR * error < limit / 2:
+        if guaranteed:
+            operator = channel_operator(response, count)
+            table, each, error, room = operator.table, operator.transfers, operator.bound, 1.0
+        else:
+            parts = [one.transfers(count)[0] for one in operators]
+            table, each = np.vstack([one.w_in[:, :count].T for one in operators]), _blocks(parts)
+            error, room = response.error(table, each, own), PREDICTION_FACTOR
+        if room * error < limit / 2:
             break
+    gains, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
     # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
     strength = np.sqrt(np.einsum("kl,lm,km->k", table, own.differences, table))
     whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, own.differences, response.flat))
@@ -382,6 +393,15 @@ def _varying(scene, content, response, lens, flat, shape, corner, limit, fft_len
     return table, transfers[None], gains, varying, error, (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
         f"{len(content.wavelengths)} wavelengths")
+
+
+def _blocks(parts):
+    """Rows of each part (n, L) in a place of their own: shape (parts, sum of n, L), 0 elsewhere."""
+    ends = np.cumsum([len(part) for part in parts])
+    out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
+    for own, part, end in zip(out, parts, ends, strict=True):
+        own[end - len(part) : end] = part
+    return out
 
 
 def _fused(scene, content, response, planes, limit):

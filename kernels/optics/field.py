@@ -19,9 +19,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from gpusim.kernels.common import fft
+from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
 
-BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 BATCH_BYTES = 2**22  # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 HOST_TILES = 16  # from here on, a CPU has a thread to each tile
 BIN = 32  # [pixel] highlights are listed per square of this side
@@ -244,7 +244,7 @@ def cases():
                     "kernels": (kernels / m**2).astype(np.float32),
                     "index": random.integers(0, 7, (number, terms)).astype(np.int32), "edges": edges,
                     "gains": random.random((channels, count)).astype(np.float32), "border": border,
-                    "margin": 3 if m == 15 else 0, "threshold": threshold,
+                    "margin": {15: 3, 21: -2}.get(m, 0), "threshold": threshold,
                     "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32) if m == 15 else None,
                     }, 4e-6, why, metric="local" if threshold else "peak", floor=0.05)
 

@@ -12,7 +12,7 @@ def field(planes, coefficients, kernels, index, edges, gains, border, margin=0, 
     m, n = kernels.shape[2:]
     pad = (m // 2, m // 2), (n // 2, n // 2)
     weights = np.pad(np.asarray(coefficients, np.float64), ((0, 0), *pad), mode="edge")
-    out = np.zeros((len(gains), rows, cols))
+    out = np.zeros((len(gains), rows - 2 * margin, cols - 2 * margin))
     for p, plane in enumerate(planes):
         source = np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border])
         own = kernels[:, min(p, kernels.shape[1] - 1)]
@@ -27,6 +27,6 @@ def field(planes, coefficients, kernels, index, edges, gains, border, margin=0, 
                     spread[y.start + a : y.stop + a, x.start + b : x.stop + b] += np.tensordot(
                         own[chosen, a, b], weighted, 1)
         # the source began m // 2 before the frame, and a kernel's first entry m // 2 before its pixel
-        out += np.asarray(gains, np.float64)[:, p, None, None] * spread[m - 1 : m - 1 + rows, n - 1 : n - 1 + cols]
-    out = out[:, margin : rows - margin, margin : cols - margin]
+        place = np.s_[m - 1 + margin : m - 1 + rows - margin, n - 1 + margin : n - 1 + cols - margin]
+        out += np.asarray(gains, np.float64)[:, p, None, None] * spread[place]
     return out if base is None else out + base

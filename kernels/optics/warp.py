@@ -17,9 +17,8 @@ four nearest nodes there are. Two methods:
 
 import numpy as np
 
+from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
-
-BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 
 
 @stage
