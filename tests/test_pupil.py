@@ -342,7 +342,8 @@ def test_a_lens_from_a_file(tmp_path):
 
 
 @pytest.mark.parametrize("fields", [
-    {"defocus": 1e-5}, pytest.param({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.1))}, marks=pytest.mark.slow),
+    {"defocus": 1e-5},
+    pytest.param({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.1))}, marks=pytest.mark.slow),
     {"birefringence": (1.4e-6, 1.4e-6)}])
 @pytest.mark.parametrize("tolerance", [None, 1e-3])
 def test_a_camera_with_that_lens(fields, tolerance):
