@@ -223,7 +223,8 @@ def test_flat_frames_are_exact_in_every_plan(device):
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("tolerance", ["preview", "video", "metrology", "1e-3", "1e-5"])
+@pytest.mark.parametrize("tolerance", ["video", "1e-3", *(
+    pytest.param(other, marks=pytest.mark.slow) for other in ("preview", "metrology", "1e-5"))])
 def test_plans_meet_their_tolerance(device, tolerance):
     """The lowest rank is chosen; the true error keeps the tolerance, and the report says both."""
     for scene in (natural((192, 128)), chart("colorchecker", size=(192, 128)), chart("slanted-edge", size=(96, 64))):

@@ -229,8 +229,9 @@ def test_hard_12_red_and_blue_edge(device):
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("cfa", [[[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]],
-                                 [[0, 1, 2]], [[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 2, 2], [1, 1, 2, 2]],
-                                 (np.arange(30).reshape(5, 6) % 3).tolist()])
+                                 [[0, 1, 2]], pytest.param([[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 2, 2], [1, 1, 2, 2]],
+                                                           marks=pytest.mark.slow),
+                                 pytest.param((np.arange(30).reshape(5, 6) % 3).tolist(), marks=pytest.mark.slow)])
 def test_hard_17_folded_mosaic_is_the_sampled_frame(device, cfa):
     """Odd sizes, all Bayer phases, other periods: equal to the full channels of optics.blur, sampled, to 1e-6."""
     random = np.random.default_rng(8)

@@ -59,6 +59,7 @@ def test_hopkins_integral_against_adaptive_integration_in_two_dimensions(waves):
         assert abs(transfer(CLEAR, defocus(waves), [s], [0.0])[0, 0] - 4 * quarter / np.pi) <= 1e-9
 
 
+@pytest.mark.slow
 def test_corner_wavefront_against_adaptive_integration():
     """Coma, astigmatism and field curvature at an angle, in fixed axes: the shift is not along one of them.
 
