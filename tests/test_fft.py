@@ -84,7 +84,7 @@ def test_borders_are_filled_in_as_the_stage_extends(border, device):
     """The same spectra as of planes extended first, with borders wider than the frame."""
     assert set(BORDERS) == {"zero", "edge", "reflect"}
     planes = device.array(np.random.default_rng(1).random((3, 5, 7), np.float32))
-    extended = device.numpy(extend(device, planes, 1, 2, border, (40, 36))).astype(np.float64)
+    extended = device.numpy(extend(device, planes, border, (17, 14), (40, 36), 1, 2)).astype(np.float64)
     spectra = device.numpy(fft.forward_extended(device, planes, 1, 2, border, (40, 36)))[:, :, :19]
     expected = np.fft.rfft2(extended)
     # as above, of the largest value: at most 8 passes of 4 sums, 6e-8 each

@@ -114,11 +114,6 @@ def kernel_of(table, period, reach):
     return whole[np.ix_(at, at)]
 
 
-def products_per_pixel(levels, factor=2) -> float:
-    """Multiplications per pixel of the frame and pair of channel and plane: what the cost is in proportion to."""
-    return sum(2 * columns.shape[2] * columns.shape[3] / factor ** (2 * n) for n, (columns, _) in enumerate(levels))
-
-
 def checked(kernel, radius, factor, rank):
     """The kernel in float64, or an error."""
     for name, value, least in (("radius", radius, 2), ("factor", factor, 2), ("rank", rank, 1)):

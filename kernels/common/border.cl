@@ -1,22 +1,38 @@
-// What lies outside the frame, written out so that a transform can go over it.
 #include "border.clh"
 
+// Writes the planes with what is around them, but for a hole that nobody reads. CPU: a row is a work-item, and the
+// frame's part of it is copied in whole vectors, twice as fast as pixel by pixel.
 __kernel void extend(
     // in:
-    __global const float *restrict planes,
+    __global const float *restrict planes,  // [][rows][cols]
     // out:
-    __global float *restrict extended,
+    __global float *restrict extended,      // [count][period_y][period_x], the frame's corner at (before_y, before_x)
     // params:
-    const int first, const int border, const int before_y, const int before_x,
+    const int border, const int first, const int before_y, const int before_x, const int top, const int bottom,
+    const int left, const int right,
     // sizes:
-    const int rows, const int cols, const int size, const int period_y, const int period_x)
+    const int count, const int rows, const int cols, const int period_y, const int period_x)
 {
+#ifdef GPU
     const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
-    GUARD(x >= period_x || y >= period_y || k >= size)
-    const int v = y - before_y, u = x - before_x;
-    const int inside = u >= 0 && u < cols && v >= 0 && v < rows;
-    const int sy = border == 2 ? reflected(v, rows) : clamp(v, 0, rows - 1);
-    const int sx = border == 2 ? reflected(u, cols) : clamp(u, 0, cols - 1);
-    const float value = planes[((size_t)(first + k) * rows + sy) * cols + sx];
-    extended[((size_t)k * period_y + y) * period_x + x] = inside || border != 0 ? value : 0.0f;
+    GUARD(x >= period_x || y >= period_y || k >= count)
+    const int begin = x, end = x + 1;
+#else
+    const int y = get_global_id(0), k = get_global_id(1), begin = 0, end = period_x;
+#endif
+    const int v = y - before_y, hole = y >= top && y < bottom;
+    const int dark = border == 0 && (v < 0 || v >= rows);
+    __global const float *source = planes + ((size_t)(first + k) * rows + inside(v, rows, border)) * cols - before_x;
+    __global float *target = extended + ((size_t)k * period_y + y) * period_x;
+    for (int i = begin; i < end; ++i) {
+#ifndef GPU
+        if (hole && i >= left && i < right) i = right;
+        const int stop = min(before_x + cols, hole && i < left ? left : end);
+        if (i >= before_x && !dark)
+            for (; i + 8 <= stop; i += 8) vstore8(vload8(0, source + i), 0, target + i);
+        if (i >= end || (hole && i >= left && i < right)) continue;
+#endif
+        const int out = dark || (border == 0 && (i < before_x || i >= before_x + cols));
+        target[i] = out ? 0.0f : source[before_x + inside(i - before_x, cols, border)];
+    }
 }

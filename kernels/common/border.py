@@ -3,15 +3,19 @@
 BORDERS = {"zero": 0, "edge": 1, "reflect": 2}
 
 
-def extend(device, planes, first, size, border, period):
-    """Planes `first` .. `first + size` centred in a period, what is around them filled in as `border` says.
+def extend(device, planes, border, before, period, first=0, size=None, hole=(0, 0, 0, 0)):
+    """Planes `first` .. `first + size`, by default all, with what is around them filled in as `border` says.
 
-    planes: (planes, rows, cols) of the device. period: (rows, cols) of the result, at least those of the planes.
-    Returns shape (size, *period); the first pixel of the planes is at (period - (rows, cols)) // 2.
+    planes: (planes, rows, cols) of the device. before: place (row, column) of their first pixel in the result. period:
+    (rows, cols) of the result. hole: first and last + 1 row and column of what is not read and need not be written.
+    Returns shape (size, *period).
     """
-    _, rows, cols = planes.shape
-    before = tuple((length - n) // 2 for length, n in zip(period, (rows, cols), strict=True))
-    extended = device.empty((size, *period))
-    device.launch("common.border", "extend", extended.shape, planes, extended, first, BORDERS[border], *before,
-                  rows, cols, *extended.shape)
+    count, rows, cols = planes.shape
+    extended = device.empty((count - first if size is None else size, *period))
+    if device.kind == "opencl" and not device.is_gpu:
+        grid, group = extended.shape[:2], (1, 1)
+    else:
+        grid, group = extended.shape, None
+    device.launch("common.border", "extend", grid, planes, extended, BORDERS[border], first, *before, *hole,
+                  extended.shape[0], rows, cols, *period, group=group, defines={"GPU": 1} if device.is_gpu else None)
     return extended

@@ -1,4 +1,4 @@
-"""What lies outside the frame, written out so that a transform can go over it."""
+"""The world outside the frame, and planes with what is around them written out."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -7,13 +7,23 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def reflected(i: int, n: int):  # mirrored with the outermost pixel repeated, however far outside
-    j = i % (2 * n)
-    if j < 0:
-        j += 2 * n
-    if j >= n:
-        j = 2 * n - 1 - j
+def inside(i: int, n: int, border: int):  # the pixel that stands for pixel i; some pixel in the dark
+    j = wp.clamp(i, 0, n - 1)
+    if border == 2:  # mirrored with the outermost pixel repeated, however far outside
+        j = i % (2 * n)
+        if j < 0:
+            j += 2 * n
+        if j >= n:
+            j = 2 * n - 1 - j
     return j
+
+
+@wp.func
+def value_at(planes: wp.array3d[float], k: int, y: int, x: int, rows: int, cols: int, border: int):
+    value = float(0.0)
+    if border != 0 or (y >= 0 and y < rows and x >= 0 and x < cols):
+        value = planes[k, inside(y, rows, border), inside(x, cols, border)]
+    return value
 
 
 @wp.kernel
@@ -23,23 +33,21 @@ def extend(
     # out:
     extended: wp.array3d[float],
     # params:
-    first: int,
     border: int,
+    first: int,
     before_y: int,
     before_x: int,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
     # sizes:
+    count: int,
     rows: int,
     cols: int,
-    size: int,
     period_y: int,
     period_x: int,
 ):
     k, y, x = wp.tid()
-    v = y - before_y
-    u = x - before_x
-    value = float(0.0)
-    if border == 2:
-        value = planes[first + k, reflected(v, rows), reflected(u, cols)]
-    elif border == 1 or (u >= 0 and u < cols and v >= 0 and v < rows):
-        value = planes[first + k, wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
-    extended[k, y, x] = value
+    if y < top or y >= bottom or x < left or x >= right:
+        extended[k, y, x] = value_at(planes, first + k, y - before_y, x - before_x, rows, cols, border)

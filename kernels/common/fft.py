@@ -44,10 +44,19 @@ def forward(device, planes):
 
 
 def forward_extended(device, planes, first, size, border, period):
-    """The same of `common.border.extend` with these arguments, shape (size, period[0], pitch, 2); `planes` stay."""
+    """The same of planes `first` .. `first + size` in the middle of a period, what is around them as `border` says.
+
+    Returns shape (size, period[0], pitch, 2); `planes` stay.
+    """
     if device.on_host or room(max(period)) > LOCAL_BYTES:
-        return _host_forward(device, extend(device, planes, first, size, border, period))
+        before = middle(planes.shape[1:], period)
+        return _host_forward(device, extend(device, planes, border, before, period, first, size))
     return _local_forward(device, planes, first, size, border, period)
+
+
+def middle(shape, period):
+    """Place of a frame's first pixel in the middle of a period, (row, column)."""
+    return tuple((length - n) // 2 for length, n in zip(period, shape, strict=True))
 
 
 def inverse(device, spectra, cols):
@@ -91,7 +100,7 @@ def _local_forward(device, planes, first, size, border, period):
     """Rows first, those of the frame alone: what is above and below is filled in as the columns read."""
     _, rows, cols = planes.shape
     pitch = pitch_of(device, period[1])
-    before_y, before_x = ((length - n) // 2 for length, n in zip(period, (rows, cols), strict=True))
+    before_y, before_x = middle((rows, cols), period)
     halves, spectra = device.empty((size, rows, pitch, 2)), device.empty((size, period[0], pitch, 2))
     _rows(device, "rows_forward", planes, halves, (first * rows, before_x), size * rows, (cols, pitch), period[1], -1,
           border)

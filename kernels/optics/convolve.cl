@@ -1,47 +1,6 @@
 // Direct convolution of planes by tables of coefficients table[v][j][r] = coefficient (v - r, j), zero where there is
 // none, so that one value read goes into the sums of ROWS rows.
 
-#include "border.clh"
-
-int inside(const int i, const int n, const int border) { return border == 2 ? reflected(i, n) : clamp(i, 0, n - 1); }
-
-// Writes the planes with what is around them, but for a hole that nobody reads. CPU: a row is a work-item, and the
-// frame's part of it is copied in whole vectors, twice as fast as pixel by pixel.
-__kernel void surround(
-    // in:
-    __global const float *restrict planes,  // [count][rows][cols]
-    // out:
-    __global float *restrict extended,      // [count][period_y][period_x], the frame's corner at (before_y, before_x)
-    // params:
-    const int border, const int before_y, const int before_x, const int top, const int bottom, const int left,
-    const int right,
-    // sizes:
-    const int count, const int rows, const int cols, const int period_y, const int period_x)
-{
-#ifdef GPU
-    const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
-    GUARD(x >= period_x || y >= period_y || k >= count)
-    const int begin = x, end = x + 1;
-#else
-    const int y = get_global_id(0), k = get_global_id(1), begin = 0, end = period_x;
-#endif
-    const int v = y - before_y, hole = y >= top && y < bottom;
-    const int dark = border == 0 && (v < 0 || v >= rows);
-    __global const float *source = planes + ((size_t)k * rows + inside(v, rows, border)) * cols - before_x;
-    __global float *target = extended + ((size_t)k * period_y + y) * period_x;
-    for (int i = begin; i < end; ++i) {
-        if (hole && i >= left && i < right) i = right;
-#ifndef GPU
-        const int stop = min(before_x + cols, hole && i < left ? left : end);
-        if (i >= before_x && !dark)
-            for (; i + 8 <= stop; i += 8) vstore8(vload8(0, source + i), 0, target + i);
-        if (i >= end || (hole && i >= left && i < right)) continue;
-#endif
-        const int out = dark || (border == 0 && (i < before_x || i >= before_x + cols));
-        target[i] = out ? 0.0f : source[before_x + inside(i - before_x, cols, border)];
-    }
-}
-
 #ifdef WIDTH
 #define JOIN(a, b) a##b
 #define LOAD(width, p) JOIN(vload, width)(0, p)

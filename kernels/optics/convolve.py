@@ -17,7 +17,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.kernels.common import columns
-from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.kernels.stage import Case, stage
 
 PRECISIONS = {"single": np.float32, "double": np.float64}
@@ -43,7 +43,7 @@ def convolve(device, planes, kernels, border="edge", precision="single"):
     flipped = kernels[:, ::-1, ::-1].astype(PRECISIONS[precision])
     planes = device.array(planes)
     if precision == "double" and device.kind == "opencl" and not device.is_gpu:
-        return columns.convolve(device, planes.shape, flipped, lambda *place: surround(device, planes, border, *place))
+        return columns.convolve(device, planes.shape, flipped, lambda *place: extend(device, planes, border, *place))
     return _direct(device, planes, flipped, border)
 
 
@@ -67,21 +67,6 @@ def check(shape, kernels, border, precision="single"):
     if not np.isfinite(kernels).all():
         k, i, j = np.argwhere(~np.isfinite(kernels))[0]
         raise BadData(f"kernel {k} is {kernels[k, i, j]} at ({i}, {j}): every value must be finite")
-
-
-def surround(device, planes, border, before, period, hole=(0, 0, 0, 0)):
-    """The planes with their corner at `before` in (planes, *period), and what is around them as `border` says.
-
-    hole: first and last + 1 row and column of what is not read and need not be written.
-    """
-    extended = device.empty((planes.shape[0], *period))
-    if device.kind == "opencl" and not device.is_gpu:
-        grid, group = (planes.shape[0], period[0]), (1, 1)
-    else:
-        grid, group = extended.shape, None
-    device.launch("optics.convolve", "surround", grid, planes, extended, BORDERS[border], *before, *hole, *planes.shape,
-                  *period, group=group, defines={"GPU": 1} if device.is_gpu else None)
-    return extended
 
 
 def coefficients(flipped, rows):
@@ -119,15 +104,14 @@ def _direct(device, planes, flipped, border):
     out = device.empty(planes.shape)
     if device.kind == "opencl" and not device.is_gpu:
         hole = [bound for axis in range(2) for bound in _hole((rows, cols)[axis], tile[axis], size[axis], middle[axis])]
-        extended = surround(device, planes, border, middle, period, hole)
+        extended = extend(device, planes, border, middle, period, hole=hole)
         device.launch("optics.convolve", "direct", (count, tiles[0]), planes, extended, table, out, own, *middle, count,
                       *size, rows, cols, *period, group=(1, 1), defines=defines)
         return out
-    extended = surround(device, planes, border, middle, period)
+    extended = extend(device, planes, border, middle, period)
     arguments = (extended, table, out, own, count, *size, rows, cols, *period)
     if device.kind == "warp":
-        kernel = "direct" if dtype == np.float32 else "direct_double"
-        device.launch("optics.convolve", kernel, (count, tiles[0], cols), *arguments)
+        device.launch("optics.convolve", "direct", (count, tiles[0], cols), *arguments)
     else:
         grid = (count, tiles[0] * GPU_GROUP[0], tiles[1] * GPU_GROUP[1])
         device.launch("optics.convolve", "direct", grid, *arguments, group=(1, *GPU_GROUP), defines=defines)

@@ -1,12 +1,7 @@
 // The transforms are elsewhere (common/fft.py); these kernels cut into tiles and weigh, add up, put together: all
 // memory-bound. `spread` adds highlights by direct sums.
 
-int reflected(int i, const int n)  // mirrored with the outermost pixel repeated, however far outside
-{
-    i %= 2 * n;
-    if (i < 0) i += 2 * n;
-    return i < n ? i : 2 * n - 1 - i;
-}
+#include "border.clh"
 
 __kernel void weigh(
     // in:
@@ -26,8 +21,7 @@ __kernel void weigh(
     const int v = edges_y[ty] + y, u = edges_x[tx] + x;
     const int in_tile = v < edges_y[ty + 1] && u < edges_x[tx + 1];
     const int cy = clamp(v, 0, rows - 1), cx = clamp(u, 0, cols - 1);
-    const int sy = border == 2 ? reflected(v, rows) : cy, sx = border == 2 ? reflected(u, cols) : cx;
-    const float value = planes[((size_t)plane * rows + sy) * cols + sx];
+    const float value = planes[((size_t)plane * rows + inside(v, rows, border)) * cols + inside(u, cols, border)];
     const float weight = coefficients[((size_t)(k % terms) * rows + cy) * cols + cx];
     const int kept = in_tile && value <= threshold && (border != 0 || (cy == v && cx == u));
     weighted[((size_t)k * period_y + y) * period_x + x] = kept ? weight * value : 0.0f;

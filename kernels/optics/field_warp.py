@@ -3,17 +3,9 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.common.border_warp import value_at
+
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def reflected(i: int, n: int):  # mirrored with the outermost pixel repeated, however far outside
-    j = i % (2 * n)
-    if j < 0:
-        j += 2 * n
-    if j >= n:
-        j = 2 * n - 1 - j
-    return j
 
 
 @wp.kernel
@@ -47,15 +39,10 @@ def weigh(
     u = edges_x[tx] + x
     value = float(0.0)
     if v < edges_y[ty + 1] and u < edges_x[tx + 1]:
-        cy = wp.clamp(v, 0, rows - 1)
-        cx = wp.clamp(u, 0, cols - 1)
-        if border == 2:
-            value = planes[plane, reflected(v, rows), reflected(u, cols)]
-        elif border == 1 or (cy == v and cx == u):
-            value = planes[plane, cy, cx]
+        value = value_at(planes, plane, v, u, rows, cols, border)
         if value > threshold:
             value = 0.0
-        value *= coefficients[k % terms, cy, cx]
+        value *= coefficients[k % terms, wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
     weighted[k, y, x] = value
 
 

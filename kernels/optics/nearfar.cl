@@ -2,8 +2,6 @@
 
 #include "border.clh"
 
-int inside(const int i, const int n, const int border) { return border == 2 ? reflected(i, n) : clamp(i, 0, n - 1); }
-
 #ifdef FACTOR
 float block(__global const float *plane, const int y, const int x, const int border, const int rows, const int cols)
 {

@@ -15,8 +15,8 @@ reach: nothing wraps around.
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.optics.convolve import surround, vector_defines
+from gpusim.kernels.common.border import BORDERS, extend
+from gpusim.kernels.optics.convolve import vector_defines
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.stage import Case, stage
 
@@ -121,7 +121,7 @@ def _separable(device, image, columns, rows, shape, border, skip, own):
     start = 0 if skip is None else skip - taps // 2
     if skip is None:
         needed = [n * t + taps - 1 for n, t in zip(tiles, tile, strict=True)]
-        image = surround(device, image, border, (taps // 2,) * 2, needed)
+        image = extend(device, image, border, (taps // 2,) * 2, needed)
     work, group, defines = (1, 1), None, {}
     if device.kind == "opencl" and device.is_gpu:
         work, group = GPU_GROUP, (1, *GPU_GROUP)

@@ -3,20 +3,10 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.common.border_warp import reflected
+from gpusim.kernels.common.border_warp import value_at
 
 wp.set_module_options({"enable_backward": False})
 vec16 = wp.types.vector(length=16, dtype=float)
-
-
-@wp.func
-def value_at(source: wp.array3d[float], k: int, v: int, u: int, rows: int, cols: int, border: int):
-    value = float(0.0)
-    if border == 2:
-        value = source[k, reflected(v, rows), reflected(u, cols)]
-    elif border == 1 or (u >= 0 and u < cols and v >= 0 and v < rows):
-        value = source[k, wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
-    return value
 
 
 @wp.kernel

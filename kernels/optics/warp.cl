@@ -1,18 +1,9 @@
 // One pixel of all PLANES that share a grid per work-item: its place and weights are found once.
 // Places stay differences from the pixel's own index, so that float32 keeps its fractions.
 
-#ifdef PLANES
-int inside(int i, const int n)  // index to read for sample i; the caller drops it where there is nothing
-{
-#if BORDER == 2
-    i %= 2 * n;
-    i = i < 0 ? i + 2 * n : i;
-    return i < n ? i : 2 * n - 1 - i;
-#else
-    return clamp(i, 0, n - 1);
-#endif
-}
+#include "border.clh"
 
+#ifdef PLANES
 float4 keys(const float s)  // weights of the samples -1, 0, 1, 2 at s in 0 .. 1
 {
     const float r = 1.0f - s;
@@ -89,7 +80,7 @@ __kernel void cubic(
     for (int a = 0; a < 4; ++a)
 #pragma unroll
         for (int b = 0; b < 4; ++b) {
-            const int sy = inside(first_y + a, source_rows), sx = inside(first_x + b, source_cols);
+            const int sy = inside(first_y + a, source_rows, BORDER), sx = inside(first_x + b, source_cols, BORDER);
             const int dropped = BORDER == 0 && (sy != first_y + a || sx != first_x + b);
             const float w = dropped ? 0.0f : in_y[a] * in_x[b];
 #pragma unroll
@@ -149,7 +140,7 @@ __kernel void area(
         for (int b = 0; b < SPAN; ++b) {
             const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
                                 + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
-            const int sy = inside(first_y + a, source_rows), sx = inside(first_x + b, source_cols);
+            const int sy = inside(first_y + a, source_rows, BORDER), sx = inside(first_x + b, source_cols, BORDER);
             const int dropped = BORDER == 0 && (sy != first_y + a || sx != first_x + b);
             // neighbours share their corners to rounding: what one pixel misses the other has; below zero is rounding
             const float w = dropped ? 0.0f : fmax(overlap, 0.0f);

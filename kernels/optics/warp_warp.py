@@ -3,19 +3,9 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.common.border_warp import inside
+
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def inside(i: int, n: int, border: int):  # index to read for sample i; the caller drops it for border 0
-    j = wp.clamp(i, 0, n - 1)
-    if border == 2:
-        j = i % (2 * n)
-        if j < 0:
-            j += 2 * n
-        if j >= n:
-            j = 2 * n - 1 - j
-    return j
 
 
 @wp.func
