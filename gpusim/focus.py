@@ -78,7 +78,7 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
             trial = _focused(simulator, _distance(vergence))
             exposure = trial.expose(scene, exposure_time)
             exposure_time = exposure.exposure_time  # as metered in the first picture
-            raw = trial.device.numpy(trial.draw(exposure.mean, exposure_time, seed=seed, frame=len(trials)))
+            raw = trial.device.numpy(trial.draw(exposure, seed=seed, frame=len(trials)))
             trials[vergence] = _contrast(raw[region].astype(float) - sensor.black_level, sensor, exposure_time)
         return trials[vergence][0]
 
@@ -133,8 +133,9 @@ def _contrast(raw, sensor, exposure_time):
     level, period, gain = raw.mean(), sensor.cfa_indices.shape, sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
-    electrons = sensor.dark_current * exposure_time + (level / gain if sensor.photon_noise else 0.0)
-    variance = electrons + sensor.read_noise**2 + sensor.dsnu**2 + (sensor.prnu * level / gain) ** 2
+    noise = sensor.noise
+    electrons = noise.dark_current * noise.warmth * exposure_time + (level / gain if noise.photon != "none" else 0.0)
+    variance = electrons + sensor.read_sigma**2 + noise.dsnu**2 + (noise.prnu * level / gain) ** 2
     noise = 2 * gain**2 * variance + 1 / 6  # 1/12 of the converter's step each
     squares = np.concatenate([((raw[step:] - raw[:-step]) ** 2).ravel() if axis == 0 else
                               ((raw[:, step:] - raw[:, :-step]) ** 2).ravel() for axis, step in enumerate(period)])

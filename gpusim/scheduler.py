@@ -3,16 +3,17 @@
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, prod
 from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import DoesNotFit, OutOfRange, UnknownName
-from gpusim.domain.exposure import auto_exposure, exposure_value
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
+from gpusim.domain.exposure import bracket_times, checked_time, exposure_value
 from gpusim.domain.scene import Basis, Cube, Materials, Scene
+from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.frames import write_frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
@@ -31,9 +32,11 @@ from gpusim.kernels.optics.warp import warp
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.color import color
+from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.linear import linear
+from gpusim.kernels.sensor.expect import expect
 from gpusim.kernels.sensor.expose import expose
-from gpusim.kernels.sensor.noise import noise
+from gpusim.kernels.sensor.shutter import shutter
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.planner.highlights import point_kernels
@@ -41,10 +44,13 @@ from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.psf import psf_tables
 from gpusim.planner.rendering import Rendering, rendering
+from gpusim.planner.shutter import shutter_weights
+from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES, at_pixels, probe_pixels
 
 FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
+SHOWN_WHITE = 65535  # digital number of white in the picture of raw values without a converter
 DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 
 
@@ -52,13 +58,19 @@ DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 class Exposure:
     """The noise-free capture of a scene: computed once, drawn from many times.
 
-    mean: mean electrons of every pixel without dark current, array of the device, shape (rows, cols) [e-].
-    exposure_time: [s]. rendering: how its values become colours. ms: milliseconds per stage that it took.
+    plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
+    mean: mean electrons of every pixel, array of the device, (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
+    expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
+    exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours.
+    ms: milliseconds per stage that it took.
     """
 
     plan: Plan
+    camera: Camera
     mean: Any
+    expected: Any
     exposure_time: float
+    gain: float
     rendering: Rendering
     ms: dict = dataclasses.field(default_factory=dict)
 
@@ -67,8 +79,9 @@ class Exposure:
 class Frame:
     """One simulated picture.
 
-    camera, exposure_time [s], rendering: what it was taken and developed with.
-    mean: mean electrons without noise, float32 (rows, cols) [e-]. raw: digital numbers, uint16 (rows, cols) [DN].
+    camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated.
+    mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
+    raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
     linear: linear display RGB before clipping, float32 (3, rows, cols). rgb: sRGB codes, uint8 (rows, cols, 3).
     """
 
@@ -110,10 +123,7 @@ class Simulator:
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
-        sensor = camera.sensor
-        if not (sensor.is_monochrome or sensor.bayer_phase):
-            raise UnknownName(f"sensor.cfa of camera {camera.name!r}", "/".join(sensor.cfa),
-                              ["RG/GB", "GR/BG", "GB/RG", "BG/GR", "one letter"])
+        self.readout = Readout(camera.sensor, self.device)
         self._kept: dict = {}  # what -> (key, value): tables of the last plan, for the next frame of the same kind
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
@@ -132,20 +142,55 @@ class Simulator:
             raise OutOfRange("verify", f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over "
                              "the field", "1 sample per pixel")
         exposure = self.expose(scene)
-        mean = np.array(self.device.numpy(exposure.mean), np.float32)
-        error = None
-        if verify:
-            error = self._true_error(scene, exposure, mean)
+        error = self._true_error(scene, exposure) if verify else None
+        yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
+
+    def shoot(self, exposure: Exposure, count: int = 1, *, seed: int = 0, first: int = 0,
+              error: Error | None = None) -> Iterator[Frame]:
+        """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
+        shape = exposure.mean.shape
+        mean = self.readout.mean(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])))
+        mean = mean.reshape(*shape[:-2], -1, mean.shape[-1])
         for number in range(first, first + count):
             with self.device.timed() as ms:
-                raw = self.draw(exposure.mean, exposure.exposure_time, seed=seed, frame=number)
+                raw = self.draw(exposure, seed=seed, frame=number)
                 shown, rgb = self.develop(raw, exposure)
             raw, shown, rgb = (np.array(self.device.numpy(array)) for array in (raw, shown, rgb))
             report = self._report(exposure, ms, seed, number, error, kept=number > first)
-            yield Frame(self.camera, exposure.exposure_time, exposure.rendering, mean, raw, shown, rgb, report)
+            yield Frame(exposure.camera, exposure.exposure_time, exposure.rendering, mean, raw.reshape(mean.shape),
+                        shown, rgb, report)
 
-    def _true_error(self, scene, exposure, mean):
+    def bracket(self, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
+        """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
+
+        The mean electrons are computed once. Raises as `frames` does. `gpusim.measure.merge_inputs` makes of them what
+        a merge to high dynamic range starts from.
+        """
+        once = self.expose(scene)
+        frames = []
+        for number, time in enumerate(bracket_times(once.exposure_time, stops)):
+            frames += self.shoot(self.lengthened(once, float(time)), seed=seed, first=first + number)
+        return frames
+
+    def burst(self, scene: Scene, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
+        """Raw values of `count` frames of a scene at rest, drawn at once: NumPy (count, rows, cols)."""
+        exposure = self.expose(scene)
+        return np.array(self.device.numpy(self.draw(exposure, seed=seed, frame=first, frames=count)))
+
+    def nondestructive(self, scene: Scene, times, *, seed: int = 0, frame: int = 0) -> np.ndarray:
+        """Raw values of reads at `times` [s] after the reset that leave the charge: NumPy (reads, rows, cols)."""
+        exposure = self.expose(scene, float(np.max(times, initial=0.0)))
+        return self.readout.nondestructive(exposure.mean, exposure.exposure_time, times, gain=exposure.gain, seed=seed,
+                                           frame=frame)
+
+    def average(self, exposure: Exposure, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
+        """Mean raw values of `count` frames [DN], float64: see `Readout.average`."""
+        return self.readout.average(exposure.expected, exposure.exposure_time, count, gain=exposure.gain, seed=seed,
+                                    first=first)
+
+    def _true_error(self, scene, exposure):
         """Error of the mean electrons against the float64 reference."""
+        mean = np.array(self.device.numpy(exposure.mean), np.float32)
         # surroundings as large as the frame: the border's error is part of the true error, and no light wraps
         reference = Simulator(self.camera, device="numpy", reach=max(scene.shape))
         if exposure.plan.varying is None:
@@ -154,7 +199,7 @@ class Simulator:
             pixels = probe_pixels(scene.shape)
             truth = at_pixels(reference, scene, exposure.plan, exposure.exposure_time, pixels)
             mean = mean[pixels[:, 0], pixels[:, 1]]
-        return Error.between(mean, truth, self.camera.sensor.read_noise)
+        return Error.between(mean, truth, self.camera.sensor.read_sigma)
 
     def light(self, made: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
@@ -189,45 +234,119 @@ class Simulator:
     def expose(self, scene: Scene, exposure_time: float | None = None) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.
 
-        Automatic exposure takes the brightest pixel to 95 % of saturation. Raises BadData, DoesNotFit, OutOfRange.
+        Automatic exposure is as the sensor's `auto_exposure` says. Raises BadData, DoesNotFit, OutOfRange.
         """
+        checked_time(exposure_time)
         made = self.plan(scene)
-        sensor = self.camera.sensor
         with self.device.timed() as ms:
             rates = self._rates(made)
-            exposure_time = exposure_time or sensor.exposure_time
-            if exposure_time is None:
-                per_second = self._expose(made, rates, 1.0)
-                exposure_time = auto_exposure(self.device.numpy(per_second), sensor.saturation)
+            exposure_time, gain = self._metered(exposure_time, lambda: self._expose(made, rates, 1.0))
             mean = self._expose(made, rates, exposure_time)
-        return Exposure(made, mean, float(exposure_time), rendering(made, float(exposure_time)), dict(ms))
+        return self._exposed(made, mean, exposure_time, gain, ms)
 
-    def draw(self, mean, exposure_time: float, *, seed: int = 0, frame: int = 0):
-        """Digital numbers (rows, cols) uint16 drawn around mean electrons [e-]; equal on every device for equal means.
+    def expose_moving(self, scenes, times, exposure_time: float | None = None, start: float = 0.0) -> Exposure:
+        """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
 
-        mean: NumPy array or array of the device; the result is of the same kind.
+        scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
+        start: when the first row opens [s]; row y opens y row_time of the sensor later. Automatic exposure meters the
+        first scene. Raises as `expose` does, and BadData, OutOfRange for times that do not cover the exposure.
         """
-        sensor = self.camera.sensor
-        return noise(mean, dark_electrons=sensor.dark_current * exposure_time, read_noise=sensor.read_noise,
-                     prnu=sensor.prnu, dsnu=sensor.dsnu, full_well=sensor.full_well,
-                     gain=sensor.gain_dn_per_electron, black_level=sensor.black_level, white_level=sensor.white_level,
-                     photon_noise=sensor.photon_noise, seed=seed, sensor_seed=sensor.fixed_pattern_seed, frame=frame,
-                     device=self.device)
+        checked_time(exposure_time)
+        scenes = list(scenes)
+        if not scenes or len(scenes) != len(np.atleast_1d(times)):
+            raise BadData(f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
+                          "one or more")
+        if len({scene.shape for scene in scenes}) > 1:
+            raise BadData("moving scene: the scenes differ in size")
+        rates, layers = [], 1
+        with self.device.timed() as ms:
+            for scene in scenes:
+                made = self.plan(scene)
+                rate = self._expose(made, self._rates(made), 1.0)
+                layers = prod(rate.shape[:-2])
+                if not rates:
+                    first, shape = made, rate.shape
+                    exposure_time, gain = self._metered(exposure_time, lambda rate=rate: rate)
+                    weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
+                rates.append(np.array(self.device.numpy(rate), np.float32).reshape(-1, shape[-1]))
+            mean = shutter(self.device.array(np.stack(rates)), self.device.array(np.tile(weights, (layers, 1))),
+                           device=self.device)
+        model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
+        first = dataclasses.replace(first, models=first.models | {"sensor.shutter": model})
+        return self._exposed(first, self.device.reshape(mean, shape), exposure_time, gain, ms)
+
+    def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
+        """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
+        if not 0 < exposure_time < np.inf:
+            raise OutOfRange("exposure_time", f"{exposure_time} s", "0 < exposure_time < inf")
+        shape = exposure.mean.shape
+        with self.device.timed() as ms:
+            mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
+                          scale=exposure_time / exposure.exposure_time, device=self.device)
+        return self._exposed(exposure.plan, self.device.reshape(mean, shape), exposure_time, exposure.gain, ms)
+
+    def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
+        """Raw values around the exposure's expected electrons, an array of the device; equal on all for equal means.
+
+        frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
+        stacked pixels one below the other.
+        """
+        return self.readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame,
+                                 frames=frames)
+
+    def draw_electrons(self, mean, exposure_time: float, *, seed: int = 0, frame: int = 0, frames: int | None = None):
+        """The same around your own mean electrons of `exposure_time` [s], NumPy (rows, cols) [e-].
+
+        Raises OutOfRange for electrons that are not finite or negative, BadData.
+        """
+        if not 0 < exposure_time < np.inf:
+            raise OutOfRange("exposure_time", f"{exposure_time} s", "0 < exposure_time < inf")
+        expected = self.readout.expected(self.device.array(checked_electrons(mean)), exposure_time)
+        return np.array(self.device.numpy(self.readout.draw(expected, exposure_time, seed=seed, frame=frame,
+                                                            frames=frames)))
 
     def develop(self, raw, exposure: Exposure):
-        """Linear display RGB (3, rows, cols) and sRGB codes (rows, cols, 3) of digital numbers."""
-        sensor, processor = self.camera.sensor, self.camera.processor
-        transform = exposure.rendering
-        scale = 1 / (sensor.white_level - sensor.black_level)
-        if sensor.is_monochrome:
-            camera_rgb = linear(raw, black_level=sensor.black_level, scale=scale, device=self.device)
+        """Linear display RGB (3, rows, cols) and sRGB codes (rows, cols, 3) of digital numbers.
+
+        Those of a sensor without a converter are shown from 16 bits of them.
+        """
+        sensor, processor = exposure.camera.sensor, exposure.camera.processor
+        transform, black, white = exposure.rendering, sensor.black_level, sensor.white_level
+        if sensor.bits == FLOAT_BITS:
+            values = (self.device.numpy(raw) - black) * (SHOWN_WHITE / (white - black))
+            raw = self.device.array(np.rint(np.clip(values, 0, SHOWN_WHITE)), np.uint16)
+            black, white = 0, SHOWN_WHITE
+        numbers = {"black_level": black, "scale": 1 / (white - black), "device": self.device}
+        if sensor.is_monochrome or sensor.stacked:
+            camera_rgb = linear(raw, **numbers)
+        elif sensor.bayer_phase:
+            camera_rgb = DEMOSAICS[processor.demosaic](raw, phase="".join(sensor.cfa), **numbers)
         else:
-            phase = "".join(sensor.cfa)
-            camera_rgb = DEMOSAICS[processor.demosaic](raw, phase=phase, black_level=sensor.black_level, scale=scale,
-                                                       device=self.device)
+            camera_rgb = interpolate(raw, cfa=sensor.cfa_indices, **numbers)
+        if sensor.stacked:
+            layers = len(sensor.channels)
+            rows, cols = camera_rgb.shape[-2:]
+            camera_rgb = self.device.reshape(camera_rgb, (layers, rows // layers, cols))
         shown = color(camera_rgb, self.device.array(transform.display_from_camera), ceiling=transform.ceiling,
                       device=self.device)
         return shown, srgb(shown, device=self.device)
+
+    def _metered(self, exposure_time, per_second):
+        """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
+        sensor = self.camera.sensor
+        exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
+        if exposure_time is not None:
+            return float(exposure_time), 1.0
+        return sensor.auto_exposure.choose(self.device.numpy(per_second()),
+                                           self.readout.output.saturation / self.readout.pixels)
+
+    def _exposed(self, made: Plan, mean, exposure_time, gain, ms):
+        camera = dataclasses.replace(self.camera, sensor=self.readout.operated(gain))
+        with self.device.timed() as more:
+            expected = self.readout.expected(mean, exposure_time)
+        ms = {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}}
+        return Exposure(made, camera, mean, expected, exposure_time, gain,
+                        rendering(made, camera, exposure_time, self.readout.pixels), ms)
 
     def _rates(self, made: Plan):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
@@ -319,16 +438,16 @@ class Simulator:
         lights, device = made.highlights, self.device
         assert lights is not None
         reach = int(lights.reach.max())
-        aperture = self._grid(made.scene.samples_per_pixel)[1]
+        aperture, _ = self._grid(made.scene.samples_per_pixel)[1]  # highlights are split off for squares only
         kernels = self._keep("points", (made.q.tobytes(), reach), lambda: point_kernels(made.q, aperture, reach))
         weights = lights.spectra[:, None] * (made.weights / made.flat)  # (kernels, channels, L)
         cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
         places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
         shape = kernels.step, kernels.parts, kernels.spread
         if made.taps is not None:
-            return np.stack([splat(one, np.zeros((1, 1), np.int32), places, lights.strength, cores[:, [c]],
-                                   profiles[:, [c]], *shape, device=device)
-                             for c, one in enumerate(device.numpy(rates))])
+            return device.array(np.stack([splat(one, np.zeros((1, 1), np.int32), places, lights.strength, cores[:, [c]],
+                                                profiles[:, [c]], *shape, device=device)
+                                          for c, one in enumerate(device.numpy(rates))]))
         return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
                      device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
 
@@ -338,20 +457,21 @@ class Simulator:
             self._kept[what] = (key, make())
         return self._kept[what][1]
 
-    def _sampled_tables(self, q, aperture, rows, cols, finer):
+    def _sampled_tables(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
         """Transfer tables for the planner, float64."""
         pitch = self.camera.sensor.pixel_pitch / finer
-        return self._keep(f"sampled {rows}x{cols}", (q.tobytes(), aperture, finer),
-                          lambda: self._bands(q, pitch, aperture, rows, cols, open_device("numpy"), whole=False))
+        return self._keep(f"sampled {rows}x{cols}", (q.tobytes(), aperture, finer, displacement),
+                          lambda: self._bands(q, pitch, aperture, rows, cols, open_device("numpy"), whole=False,
+                                              displacement=displacement))
 
     def _grid(self, samples_per_pixel):
-        """Distance of the samples that are blurred [m], and the width over which each is integrated [sample].
+        """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
 
         Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
         """
         sensor = self.camera.sensor
         return (sensor.pixel_pitch / samples_per_pixel,
-                sensor.aperture / sensor.pixel_pitch if samples_per_pixel == 1 else 1.0)
+                tuple(side / sensor.pixel_pitch for side in sensor.aperture) if samples_per_pixel == 1 else (1.0, 1.0))
 
     def _planes(self, content, table, window):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
@@ -381,21 +501,26 @@ class Simulator:
         tables = self.device.numpy(self._combined(made, bands))
         return levels_of([[kernel_of(table, period, reach) for table in group] for group in tables])
 
-    def _bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True):
+    def _bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True, displacement=None):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
 
-        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their width [sample].
-        distance: of the object [m], that in focus if not given. whole: for a convolution, see `psf_tables`.
+        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their height and width
+        [sample]. distance: of the object [m], that in focus if not given. whole: for a convolution, see `psf_tables`.
+        displacement: of the apertures from the samples; the sensor's, where the samples are the pixels', if not given.
         """
-        optics = self.camera.optics
+        optics, sensor = self.camera.optics, self.camera.sensor
+        if displacement is None:
+            displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
         if optics.psf is not None:
             return device.array(psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows,
-                                           cols, finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole))
-        if optics.is_ideal and distance is None:
+                                           cols, finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole,
+                                           displacement=displacement))
+        if optics.is_ideal and distance is None and not any(displacement):
             return airy(device.array(q), aperture, rows, cols, device=device)
         waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
         return pupil(optics.pupil, waves, device.array(q), aperture, rows, cols, device=device,
-                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch)
+                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch,
+                     displacement=displacement)
 
     def _make_transfer(self, made):
         return self._combined(made, self._all_bands(made))
@@ -413,26 +538,32 @@ class Simulator:
         return device.reshape(tables, (channels, planes, *bands.shape[1:]))
 
     def _expose(self, made: Plan, rates, exposure_time):
+        """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
         planes, cfa = rates
         if made.gain is not None:
             planes = gain(planes, self.device.array(made.gain[None]), device=self.device)
-        return expose(planes, cfa, exposure_time, made.slope, device=self.device)
+        if not self.camera.sensor.stacked:
+            return expose(planes, cfa, exposure_time, made.slope, device=self.device)
+        layers = [expose(planes, np.full((1, 1), channel, np.int32), exposure_time, made.slope, device=self.device)
+                  for channel in range(planes.shape[0])]
+        return self.device.array(np.stack([self.device.numpy(layer) for layer in layers]))
 
     def _report(self, exposure, ms, seed, number, error, kept):
-        made, camera = exposure.plan, self.camera
+        made, camera = exposure.plan, exposure.camera
         sensor, processor = camera.sensor, camera.processor
         times = dict(ms) if kept else {**exposure.ms, **ms}
-        on = [name for name, used in (
-            ("photon", sensor.photon_noise), ("dark current", sensor.dark_current), ("read", sensor.read_noise),
-            ("PRNU", sensor.prnu), ("DSNU", sensor.dsnu)) if used]
-        demosaic = "processor.linear" if sensor.is_monochrome else f"processor.{processor.demosaic}"
-        models = made.models | {
-            "sensor.noise": f"{', '.join(on) or 'no noise'}; full well, {sensor.bits} bit",
-            demosaic: "monochrome" if sensor.is_monochrome else f"{processor.demosaic} demosaicking",
-            "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
+        if sensor.is_monochrome or sensor.stacked:
+            demosaic, method = "processor.linear", "monochrome" if sensor.is_monochrome else "stacked: all channels"
+        elif sensor.bayer_phase:
+            demosaic, method = f"processor.{processor.demosaic}", f"{processor.demosaic} demosaicking"
+        else:
+            demosaic, method = "processor.interpolate", "weighted means of each channel's neighbours"
+        models = made.models | self.readout.models() | {
+            demosaic: method, "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
         order = ("spectral.integrate", "spectral.materials", "optics.warp", "optics.airy", "optics.pupil",
                  "optics.blur", "optics.nearfar", "optics.composite", "optics.field", "optics.mosaic", "optics.splat",
-                 "optics.sample", "optics.gain", "sensor.expose", "sensor.noise", demosaic, "processor.color",
+                 "optics.sample", "optics.gain", "sensor.expose", "sensor.shutter", "sensor.pattern", "sensor.expect",
+                 "sensor.bin", "sensor.noise", demosaic, "processor.color",
                  "display.srgb")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
@@ -447,6 +578,6 @@ class Simulator:
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
-             "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
+             "analog_gain": sensor.analog_gain, "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": self.device.name, "kind": self.device.kind}, number, seed, stages, made.predicted, made.left_out,
             error, self.tolerance, notes)

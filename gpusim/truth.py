@@ -43,7 +43,9 @@ def at_pixels(reference, scene, made, exposure_time, pixels) -> np.ndarray:
     plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
     base = type(reference)(plain, device="numpy", reach=max(scene.shape)).expose(scene, exposure_time).mean
     rows, cols = scene.shape
-    lens = open_lens(camera.optics, camera.sensor.pixel_pitch, np.sqrt(camera.sensor.fill_factor), (rows, cols))
+    sensor = camera.sensor
+    lens = open_lens(camera.optics, sensor.pixel_pitch, np.array(sensor.aperture) / sensor.pixel_pitch, (rows, cols),
+                     sensor.displacement)
     size = max(SIZE, lens.least_size // 2 * 2 + 1)
     cfa, margin, half = camera.sensor.cfa_indices, scene.margin, size // 2
     planes = reference.light(made)

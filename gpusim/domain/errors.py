@@ -52,3 +52,11 @@ class DoesNotFit(GpusimError):
 
 class DeviceError(GpusimError):
     """A device that is missing, unusable or failed, with the reason the driver gave."""
+
+
+def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
+    """Raise OutOfRange unless `good` holds for the field `key` of `part`; None is left for the caller to judge."""
+    value = getattr(part, key)
+    if value is not None and not good(value):
+        shown = f"{value:.6g}" if isinstance(value, float) else value
+        raise OutOfRange(f"{owner}.{key}", f"{shown} {unit}".rstrip(), allowed)

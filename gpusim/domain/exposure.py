@@ -1,10 +1,14 @@
-"""How long to expose."""
+"""How long to expose: exposure values, automatic exposure, brackets."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 
-METHODS = ("full", "mean")
+METHODS = ("full", "mean", "percentile", "centre")
+LONGEST = 1e12  # [s]
+CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
 
 
 def exposure_value(f_number, exposure_time):
@@ -15,24 +19,84 @@ def exposure_value(f_number, exposure_time):
     return np.log2(np.square(f_number) / exposure_time)
 
 
-def auto_exposure(electron_rate, saturation: float, level: float = 0.95, method: str = "full") -> float:
-    """Exposure time [s] at which the mean signal reaches `level` of saturation.
+def exposure_time(value, f_number):
+    """Exposure time [s] of an exposure value [stop] at f-number N, T = N^2 / 2^EV: the inverse of `exposure_value`."""
+    return np.square(f_number) / np.exp2(value)
 
-    electron_rate: mean electrons per second of every pixel [e- s-1], any shape.
-    saturation: electrons at which a pixel stops counting [e-] (`Sensor.saturation`).
-    level: fraction of `saturation` to reach [1].
-    method: "full": the brightest pixel reaches it, so nothing clips; "mean": the average pixel does, so a small bright
-        lamp does not leave the rest dark, at the price of clipping whatever is brighter.
-    Raises BadData when there is no light to expose for, OutOfRange, UnknownName.
+
+def checked_time(time: float | None) -> float | None:
+    """Return an exposure time [s], or None for the camera's own, as it is. Raises OutOfRange."""
+    if time is not None and not 0 < time <= LONGEST:
+        raise OutOfRange("exposure_time", f"{time} s", f"0 < exposure_time <= {LONGEST:g} s")
+    return time
+
+
+def bracket_times(time: float, stops) -> np.ndarray:
+    """Exposure times [s] that are `stops` brighter than `time` [s], time 2^stops. Raises OutOfRange."""
+    stops = np.atleast_1d(np.asarray(stops, np.float64))
+    times = time * np.exp2(stops)
+    if stops.ndim != 1 or not (np.isfinite(times) & (times > 0)).all():
+        raise OutOfRange("stops of a bracket", stops.tolist(), "a list of finite numbers, small enough for a time")
+    return times
+
+
+@dataclass(frozen=True)
+class AutoExposure:
+    """How an exposure time and an analog gain are chosen from the light.
+
+    method: what is brought to `level` of saturation [1]: "full" the brightest pixel, so that nothing clips;
+        "percentile" the `percentile`-th of the pixels [%], so that a few lamps may clip; "mean" the average;
+        "centre" the average weighted by a Gaussian about the frame's middle.
+    longest: exposure time at most [s], None: any. Where it is too short the analog gain is raised, up to most_gain [1].
+    Raises OutOfRange, UnknownName.
     """
-    if method not in METHODS:
-        raise UnknownName("exposure method", method, METHODS)
-    if not 0 < level <= 1:
-        raise OutOfRange("level", level, "0 < level <= 1")
-    if not 0 < saturation < np.inf:
-        raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
-    rate = float(np.max(electron_rate) if method == "full" else np.mean(electron_rate, dtype=np.float64))
-    if not 0 < rate < np.inf:
-        raise BadData(f"automatic exposure: the {method} signal is {rate:.4g} e-/s; a dark scene needs "
-                      "exposure_time_ms in the camera file")
-    return level * saturation / rate
+
+    method: str = "full"
+    level: float = 0.95
+    percentile: float = 99.0
+    longest: float | None = None
+    most_gain: float = 1.0
+
+    def __post_init__(self):
+        if self.method not in METHODS:
+            raise UnknownName("exposure method", self.method, METHODS)
+        check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
+        check_range("auto_exposure", self, "percentile", "0 < percentile <= 100", lambda value: 0 < value <= 100, "%")
+        check_range("auto_exposure", self, "longest", "0 < longest <= 1e12", lambda value: 0 < value <= 1e12, "s")
+        check_range("auto_exposure", self, "most_gain", "1 <= most_gain <= 1e4", lambda value: 1 <= value <= 1e4)
+
+    def signal(self, electron_rate) -> float:
+        """What is brought to the level [e- s-1], of electrons per second and pixel, shape (..., rows, cols)."""
+        rate = np.asarray(electron_rate)
+        if self.method == "full":
+            return float(rate.max())
+        if self.method == "mean":
+            return float(rate.mean(dtype=np.float64))
+        if self.method == "percentile":
+            return float(np.percentile(rate, self.percentile))
+        weights = [np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in rate.shape[-2:]]
+        down, right = (weight / weight.sum() for weight in weights)
+        return float(np.mean(down @ rate.astype(np.float64) @ right))
+
+    def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
+        """Exposure time [s] and analog gain [1].
+
+        electron_rate: mean electrons per second of every pixel [e- s-1], shape (..., rows, cols).
+        saturation: electrons at which a pixel stops counting at an analog gain of 1 [e-] (`Sensor.saturation`).
+        Raises BadData when there is no light to expose for, OutOfRange.
+        """
+        if not 0 < saturation < np.inf:
+            raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
+        rate = self.signal(electron_rate)
+        if not 0 < rate < np.inf:
+            raise BadData(f"automatic exposure: the {self.method} signal is {rate:.4g} e-/s; a dark scene needs "
+                          "exposure_time_ms in the camera file")
+        time = self.level * saturation / rate
+        if self.longest is None or time <= self.longest:
+            return time, 1.0
+        return self.longest, min(time / self.longest, self.most_gain)
+
+
+def auto_exposure(electron_rate, saturation: float, level: float = 0.95, method: str = "full") -> float:
+    """Exposure time [s] at which the signal that `method` of `AutoExposure` names reaches `level` of saturation."""
+    return AutoExposure(method, level).choose(np.atleast_2d(electron_rate), saturation)[0]

@@ -1,14 +1,17 @@
 """The generalised sensor: filters, photodetector, pixel, noise and conversion to digital numbers."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.noise import Noise
 from gpusim.domain.spectrum import Spectrum
 
 HUGE = 1e12  # more than any electrons, seconds or gain; squares of it are far from float32's limit
+FLOAT_BITS = 32  # stands for raw values without a converter
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
 
 
@@ -42,23 +45,34 @@ class Microlens:
 class Sensor:
     """An image sensor with square pixels and one repeating colour mosaic.
 
+    Pixels:
     pixel_pitch: [m].
     qe: shape (C, L), C = len(channels): electrons per photon [e-/photon] that falls inside the pixel's aperture, as the
-        product of colour filter, photodetector and infrared cut; 0 outside its table. A data sheet's quantum efficiency
-        counts all photons on the pixel: it goes with fill_factor = 1.
+        product of colour filter, photodetector and infrared cut. It must cover the light of the scene. A data sheet's
+        quantum efficiency counts all photons on the pixel: it goes with fill_factor = 1.
     full_well: electrons at which a pixel saturates [e-].
-    bits: of the converter; digital numbers go from 0 to 2**bits - 1.
+    bits: of the converter, 1 to 16; digital numbers go from 0 to 2**bits - 1. 32: no converter, raw values are float32,
+        neither rounded nor clipped behind the well.
     channels: one letter per curve, such as ("R", "G", "B") or ("Y",).
     cfa: the mosaic's period as rows of these letters, such as ("RG", "GB") or, monochrome, ("Y",); at most 8 x 8.
-    fill_factor: aperture area over pixel area [1]; the aperture is a centred square.
-    microlens: what pixels lose toward the corner, None: nothing.
-    exposure_time: [s], or None: chosen by automatic exposure.
-    black_level: digital number of a dark pixel [DN].
-    gain: [DN/e-], or None: such that a full well just reaches the white level.
-    read_noise: [e- rms]; dark_current: [e- s-1]; prnu: relative gain variation [rms]; dsnu: offset variation [e- rms].
-    photon_noise: whether electrons are counted one by one (Poisson).
-    fixed_pattern_seed: names the one chip whose prnu and dsnu patterns are used.
-    Raises BadData, OutOfRange.
+    stacked: every pixel has all channels, one above the other, whatever the mosaic.
+    fill_factor: aperture area over pixel area [1]; the aperture is a square unless `photodetector` gives its height and
+        width over the pitch (their product is the fill factor then). centre: of the aperture from the pixel's middle
+        over the pitch, (rows, cols).
+    offset: of the whole grid of pixels from the middle of the picture, (rows, cols) [pixel].
+    microlens: what pixels lose toward the corner, None: nothing. vignetting: the same as a map of relative responses
+        over the frame, shape (ny, nx), nodes evenly from edge to edge, interpolated bilinearly.
+
+    Exposure and readout:
+    exposure_time: [s], or None: chosen by `auto_exposure`.
+    row_time: [s] by which each row is exposed later than the one above; 0: all at once.
+    binning: neighbours of one colour that are read as one pixel, (rows, cols). binning_mode: "charge": their electrons
+        are added before readout, "digital": their digital numbers are averaged.
+    gain: [DN/e-] at analog gain 1, or None: such that a full well just reaches the white level; or by conversion_gain
+        [V/e-] of the pixel and adc_range [V], the voltage at the white level. analog_gain: [1] multiplies it.
+    analog_offset: [e-] added before the converter. black_level: digital number of a dark pixel [DN].
+    noise: see `Noise`.
+    Raises BadData, OutOfRange, UnknownName.
     """
 
     pixel_pitch: float
@@ -67,51 +81,99 @@ class Sensor:
     bits: int
     channels: tuple[str, ...] = ("R", "G", "B")
     cfa: tuple[str, ...] = ("RG", "GB")
+    stacked: bool = False
     fill_factor: float = 1.0
+    photodetector: tuple[float, float] | None = None
+    centre: tuple[float, float] = (0.0, 0.0)
+    offset: tuple[float, float] = (0.0, 0.0)
     microlens: Microlens | None = None
+    vignetting: tuple[tuple[float, ...], ...] | None = None
     exposure_time: float | None = None
-    black_level: int = 0
+    auto_exposure: AutoExposure = field(default_factory=AutoExposure)
+    row_time: float = 0.0
+    binning: tuple[int, int] = (1, 1)
+    binning_mode: str = "charge"
     gain: float | None = None
-    read_noise: float = 0.0
-    dark_current: float = 0.0
-    prnu: float = 0.0
-    dsnu: float = 0.0
-    photon_noise: bool = True
-    fixed_pattern_seed: int = 0
+    conversion_gain: float | None = None
+    adc_range: float | None = None
+    analog_gain: float = 1.0
+    analog_offset: float = 0.0
+    black_level: int = 0
+    noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self):
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "cfa", tuple(self.cfa))
+        object.__setattr__(self, "binning", tuple(self.binning))
+        self._check_pixel()
         self._check_numbers()
         self._check_mosaic()
 
+    def _check_pixel(self):
+        def check(key, allowed, good, unit=""):
+            check_range("sensor", self, key, allowed, good, unit)
+
+        check("pixel_pitch", "0 < pixel_pitch <= 0.001 m", lambda value: 0 < value <= 1e-3, "m")
+        check("fill_factor", "0 < fill_factor <= 1", lambda value: 0 < value <= 1)
+        for key, allowed, good in (
+                ("photodetector", "height and width over the pitch, 0 < each <= 1", lambda value: 0 < value <= 1),
+                ("centre", "rows and columns, within -0.5 .. 0.5", lambda value: abs(value) <= 0.5),
+                ("offset", "rows and columns [pixel], within -1e4 .. 1e4", lambda value: abs(value) <= 1e4)):
+            check(key, allowed, lambda pair, good=good: len(pair) == 2 and all(map(good, pair)))
+        if self.photodetector is not None:
+            height, width = self.photodetector
+            if self.fill_factor not in (1.0, height * width):  # the latter in copies made by dataclasses.replace
+                raise BadData("sensor.photodetector and sensor.fill_factor: wanted one of them; the former's product "
+                              "is the latter")
+            object.__setattr__(self, "fill_factor", height * width)
+        height, width = self.aperture
+        for side, middle in ((height, self.centre[0]), (width, self.centre[1])):
+            if side / 2 + abs(middle) * self.pixel_pitch > self.pixel_pitch / 2 * (1 + 1e-9):
+                raise OutOfRange("sensor.centre", self.centre, "so that the photodetector stays inside its pixel")
+        if self.vignetting is not None:
+            map_ = np.asarray(self.vignetting, np.float64)
+            if map_.ndim != 2 or min(map_.shape) < 2 or not (np.isfinite(map_).all() and map_.min() >= 0
+                                                             and map_.max() > 0):
+                raise BadData("sensor.vignetting: wanted two or more rows and columns of finite responses >= 0, not "
+                              "all 0")
+            object.__setattr__(self, "vignetting", tuple(map(tuple, map_.tolist())))  # comparable, and stays as it is
+
     def _check_numbers(self):
         def check(key, allowed, good, unit=""):
-            value = getattr(self, key)
-            if value is not None and not good(value):
-                shown = f"{value:.6g}" if isinstance(value, float) else value
-                raise OutOfRange(f"sensor.{key}", f"{shown} {unit}".rstrip(), allowed)
+            check_range("sensor", self, key, allowed, good, unit)
 
         def positive(value):
             return 0 < value <= HUGE
 
-        def non_negative(value):
-            return 0 <= value <= HUGE
-
-        check("pixel_pitch", "0 < pixel_pitch <= 0.001 m", lambda value: 0 < value <= 1e-3, "m")
-        check("fill_factor", "0 < fill_factor <= 1", lambda value: 0 < value <= 1)
         check("exposure_time", "0 < exposure_time <= 1e12, or automatic", positive, "s")
+        check("row_time", "0 <= row_time <= 1e12", lambda value: 0 <= value <= HUGE, "s")
         check("full_well", "0 < full_well <= 1e12", positive, "e-")
-        check("bits", "a whole number, 1 <= bits <= 16", lambda value: value in range(1, 17))
-        check("black_level", f"a whole number, 0 <= black_level < {self.white_level} (the white level)",
-              lambda value: value in range(self.white_level), "DN")
-        check("gain", "0 < gain <= 1e12, or automatic", positive, "DN/e-")
-        check("read_noise", "0 <= read_noise <= 1e12", non_negative, "e-")
-        check("dark_current", "0 <= dark_current <= 1e12", non_negative, "e-/s")
-        check("prnu", "0 <= prnu < 1", lambda value: 0 <= value < 1)
-        check("dsnu", "0 <= dsnu <= 1e12", non_negative, "e-")
-        check("fixed_pattern_seed", "a whole number, 0 <= fixed_pattern_seed < 2**64",
-              lambda value: value in range(2**64))
+        check("bits", "a whole number, 1 <= bits <= 16, or 32 for float32 without a converter",
+              lambda value: value in (*range(1, 17), FLOAT_BITS))
+        top = 2**16 if self.bits == FLOAT_BITS else self.white_level
+        check("black_level", f"a whole number, 0 <= black_level < {top} (the white level)",
+              lambda value: value in range(top), "DN")
+        for key, unit in (("gain", "DN/e-"), ("conversion_gain", "V/e-"), ("adc_range", "V")):
+            check(key, f"0 < {key} <= 1e12, or automatic", positive, unit)
+        if (self.conversion_gain is None) != (self.adc_range is None) or None not in (self.gain, self.adc_range):
+            raise BadData("sensor.gain, conversion_gain and adc_range: wanted gain alone, or the other two, or none")
+        check("analog_gain", "0 < analog_gain <= 1e4", lambda value: 0 < value <= 1e4)
+        check("analog_offset", "-1e12 <= analog_offset <= 1e12", lambda value: abs(value) <= HUGE, "e-")
+        check("binning", f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
+              lambda pair: len(pair) == 2 and all(n in range(1, LONGEST_PERIOD + 1) for n in pair))
+        if self.binning_mode not in ("charge", "digital"):
+            raise UnknownName("sensor.binning_mode", self.binning_mode, ("charge", "digital"))
+        if self.binning != (1, 1) and self.stacked:
+            raise BadData("sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False")
+        if self.binning != (1, 1) and self.binning_mode == "digital" and self.bits == FLOAT_BITS:
+            raise BadData('sensor.binning_mode = "digital" without a converter: wanted "charge", or bits 1 .. 16')
+        well = self.full_well * self.gain_dn_per_electron
+        if (self.gain or self.conversion_gain) and well < self.black_level:
+            raise OutOfRange("sensor.full_well", f"{self.full_well:.6g} e- = {well:.6g} DN above black",
+                             f"at least the black level, {self.black_level} DN: a larger gain or well")
+        if not (self.saturation > 0 and self.black_level < self.white_level):
+            raise OutOfRange("sensor.analog_offset", f"{self.analog_offset:.6g} e-",
+                             "so little that a dark pixel is below the white level")
 
     def _check_mosaic(self):
         if not self.channels or any(len(letter) != 1 for letter in self.channels):
@@ -135,20 +197,36 @@ class Sensor:
 
     @property
     def white_level(self) -> int:
-        """Highest digital number [DN]."""
+        """Highest digital number [DN]; without a converter, that of a full well."""
+        if self.bits == FLOAT_BITS:
+            return math.ceil(self.black_level + self.gain_dn_per_electron * (self.full_well + self.analog_offset))
         return 2 ** int(self.bits) - 1
 
     @property
     def gain_dn_per_electron(self) -> float:
-        """Conversion gain [DN/e-]: `gain`, or the one that maps the full well to the white level."""
-        return self.gain if self.gain is not None else (self.white_level - self.black_level) / self.full_well
+        """System gain [DN/e-] at the sensor's analog gain."""
+        if self.gain is not None:
+            gain = self.gain
+        elif self.conversion_gain is not None and self.adc_range is not None:
+            gain = self.conversion_gain * (2**16 - 1 if self.bits == FLOAT_BITS else self.white_level) / self.adc_range
+        else:
+            gain = 1.0 if self.bits == FLOAT_BITS else (self.white_level - self.black_level) / self.full_well
+        return gain * self.analog_gain
 
     @property
     def saturation(self) -> float:
         """Electrons at which the digital number stops rising [e-]: the full well or the converter, whichever first."""
-        if self.gain is None:
+        if self.bits == FLOAT_BITS:
             return self.full_well
-        return min(self.full_well, (self.white_level - self.black_level) / self.gain)
+        at_white = (self.white_level - self.black_level) / self.gain_dn_per_electron - self.analog_offset
+        # the automatic gain is the quotient of the two: no rounding error may decide which saturates first
+        return self.full_well if at_white >= self.full_well * (1 - 1e-12) else at_white
+
+    @property
+    def read_sigma(self) -> float:
+        """Standard deviation of one read [e-]: reset, readout and converter together."""
+        noise = self.noise
+        return math.hypot(noise.read, noise.reset, noise.adc / self.gain_dn_per_electron)
 
     @property
     def cfa_indices(self) -> np.ndarray:
@@ -169,6 +247,12 @@ class Sensor:
         return (row, col) if self.cfa[1 - row][1 - col] == "B" else None
 
     @property
-    def aperture(self) -> float:
-        """Side of the light-sensitive square [m]."""
-        return self.pixel_pitch * math.sqrt(self.fill_factor)
+    def aperture(self) -> tuple[float, float]:
+        """Height and width of the light-sensitive rectangle [m]."""
+        height, width = self.photodetector or (math.sqrt(self.fill_factor),) * 2
+        return self.pixel_pitch * height, self.pixel_pitch * width
+
+    @property
+    def displacement(self) -> tuple[float, float]:
+        """Where the apertures' middles lie from those of a centred grid, (rows, cols) [pixel]."""
+        return self.offset[0] + self.centre[0], self.offset[1] + self.centre[1]

@@ -98,21 +98,21 @@ def _half_way(cells):
     return weights
 
 
-def relative_illumination(model, shape, pitch, image_distance, radius=None) -> np.ndarray:
+def relative_illumination(model, shape, pitch, image_distance, radius=None, displacement=(0.0, 0.0)) -> np.ndarray:
     """Relative illumination of every pixel centre, float64, shape (rows, cols), 1 on axis.
 
     model: "cos4"; a tuple of polynomial coefficients (a1, a2, ...) for 1 + a1 h + a2 h^2 + ... of the field height
     h = r / radius; or a pair of arrays (heights, values) interpolated linearly. pitch, image_distance, radius: [m];
-    radius: by default half the frame's diagonal. Multiply maps for lens and microlenses.
+    radius: by default half the frame's diagonal. displacement: of the grid of pixels, (rows, cols) [pixel].
+    Multiply maps for lens and microlenses.
     Source: Farrell and Wandell, section 4.1. Raises BadData, OutOfRange.
     """
-    rows, cols = shape
-    r = np.hypot((np.arange(rows)[:, None] - (rows - 1) / 2) * pitch, (np.arange(cols) - (cols - 1) / 2) * pitch)
+    r = _heights(shape, displacement) * pitch
     if isinstance(model, str):
         if model != "cos4":
             raise OutOfRange("relative_illumination", repr(model), '"cos4", coefficients or a table')
         return (1 + (r / image_distance) ** 2) ** -2
-    h = r / (radius or pitch * np.hypot(rows, cols) / 2)
+    h = r / (radius or pitch * np.hypot(*shape) / 2)
     if len(model) == 2 and np.ndim(model[0]) == 1:
         heights, values = (np.asarray(part, np.float64) for part in model)
         if heights.shape != values.shape or not (np.diff(heights) > 0).all() or heights[0] != 0:
@@ -128,20 +128,42 @@ def relative_illumination(model, shape, pitch, image_distance, radius=None) -> n
     return _checked("relative illumination", gain)
 
 
-def microlens_gain(microlens: Microlens, shape, pitch, exit_pupil_distance) -> np.ndarray:
+def microlens_gain(microlens: Microlens, shape, pitch, exit_pupil_distance, displacement=(0.0, 0.0)) -> np.ndarray:
     """Gain of every pixel from the angle at which the chief ray meets it, float64, shape (rows, cols).
 
-    exit_pupil_distance: from the exit pupil to the sensor [m].
+    exit_pupil_distance: from the exit pupil to the sensor [m]. displacement: of the grid of pixels, (rows, cols)
+    [pixel].
     Source: Catrysse, Liu and El Gamal, Proc. SPIE 3965 (2000). Raises OutOfRange.
     """
-    rows, cols = shape
-    r = np.hypot((np.arange(rows)[:, None] - (rows - 1) / 2) * pitch, (np.arange(cols) - (cols - 1) / 2) * pitch)
-    tangent = r / exit_pupil_distance
+    tangent = _heights(shape, displacement) * (pitch / exit_pupil_distance)
     angle = np.abs(np.arctan(tangent) - np.arctan(microlens.shift * tangent))
     if angle.max() > microlens.angles[-1]:
         raise OutOfRange("sensor.microlens", f"measured up to {np.degrees(microlens.angles[-1]):.4g} deg",
                          f"as far as the corner's chief ray, {np.degrees(angle.max()):.4g} deg")
     return np.interp(angle, microlens.angles, microlens.response)
+
+
+def vignetting_gain(responses, shape, displacement=(0.0, 0.0)) -> np.ndarray:
+    """Gain of every pixel from a map of relative responses, float64, shape (rows, cols).
+
+    responses: shape (ny, nx), at places even from edge to edge of the frame; bilinear between them, constant beyond.
+    displacement: of the grid of pixels, (rows, cols) [pixel].
+    """
+    along_y, along_x = (_hats(count, pixels, move) for count, pixels, move in
+                        zip(np.shape(responses), shape, displacement, strict=True))
+    return along_y @ np.asarray(responses, np.float64) @ along_x.T
+
+
+def _hats(count, pixels, displacement):
+    """Weights of `count` nodes in the linear interpolation at each of `pixels`, shape (pixels, count)."""
+    place = np.clip((np.arange(pixels) + 0.5 + displacement) / pixels, 0, 1) * (count - 1)
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0)
+
+
+def _heights(shape, displacement):
+    """Distance of every pixel's middle from the axis [pixel]."""
+    y, x = (np.arange(n) - (n - 1) / 2 + move for n, move in zip(shape, displacement, strict=True))
+    return np.hypot(y[:, None], x)
 
 
 def _checked(what, gain):

@@ -28,14 +28,16 @@ SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 class PupilLens:
     """Point spreads of a pupil and its wavefronts.
 
-    optics: the lens. pitch: of the pixels [m]. aperture: width of the pixel's aperture over the pitch. corner: distance
-    of the frame's corner from the axis [pixel], for lateral colour.
+    optics: the lens. pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch.
+    corner: distance of the frame's corner from the axis [pixel], for lateral colour. displacement: of the apertures'
+    middles from the points, (rows, cols) [pixel].
     """
 
     optics: Optics
     pitch: float
-    aperture: float
+    aperture: tuple[float, float]
     corner: float
+    displacement: tuple[float, float] = (0.0, 0.0)
     least_size = 1
 
     def kernels(self, wavelengths, place, size) -> np.ndarray:
@@ -52,7 +54,7 @@ class PupilLens:
         out = np.empty((len(wavelengths), size, size))
         for kernel, wavelength, wave, shift in zip(out, wavelengths, waves, colour, strict=True):
             kernel[:] = self._kernel(wavelength * 1e-9 * optics.working_f_number / self.pitch, wave, size,
-                                     (shift * y, shift * x))
+                                     (shift * y - self.displacement[0], shift * x - self.displacement[1]))
             if optics.diffuser:
                 kernel[:] = np.fft.ifft2(fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)).real
         return out / out.sum(axis=(1, 2), keepdims=True)
@@ -70,8 +72,8 @@ class PupilLens:
         spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
         for a in {-spots[0], spots[0]}:
             for b in {-spots[1], spots[1]}:
-                left, right = (_waves_to(size, points, self.aperture, move, count, q)
-                               for move in (shift[0] + a, shift[1] + b))
+                left, right = (_waves_to(size, points, width, move, count, q)
+                               for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True))
                 field_ = left @ aperture @ right.T
                 energy = energy + (field_.real**2 + field_.imag**2)
         energy = energy.reshape(size, points, size, points)
@@ -92,34 +94,42 @@ def _waves_to(size, points, aperture, shift, count, q):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLens:
-    """Point spreads that are given: see `PupilLens` for pitch and aperture."""
+    """Point spreads that are given: see `PupilLens` for pitch, aperture and displacement."""
 
     optics: Optics
     spread: PointSpread
     pitch: float
-    aperture: float
+    aperture: tuple[float, float]
     corner: tuple[float, float]  # the frame's; places beyond take the spread of the frame's border
+    displacement: tuple[float, float] = (0.0, 0.0)
 
     @property
     def least_size(self) -> int:
         """Least size of the kernels [pixel] that holds the spreads."""
-        return int(np.ceil(max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch)) + 2
+        return int(np.ceil(max(self.spread.values.shape[-2:]) * self.spread.spacing / self.pitch
+                           + 2 * max(map(abs, self.displacement)))) + 2
 
     def kernels(self, wavelengths, place, size) -> np.ndarray:
         """As those of `PupilLens`; raises OutOfRange where the spread is larger than `size` pixels."""
         wavelengths = np.asarray(wavelengths, np.float64)
         place = tuple(float(np.clip(at, -most, most)) for at, most in zip(place, self.corner, strict=True))
-        tables = psf_tables(self.spread, wavelengths, self.pitch, self.aperture, size, size, place=place)
+        tables = psf_tables(self.spread, wavelengths, self.pitch, self.aperture, size, size, place=place,
+                            displacement=self.displacement)
         kernels = np.fft.fftshift(np.fft.irfft2(tables.view(np.complex128), (size, size)), axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
 
-def open_lens(optics: Optics, pitch, aperture, shape):
-    """The lens that `optics` describes, before a frame of `shape` = (rows, cols) pixels of `pitch`."""
+def open_lens(optics: Optics, pitch, aperture, shape, displacement=(0.0, 0.0)):
+    """The lens that `optics` describes, before a frame of `shape` = (rows, cols) pixels of `pitch`.
+
+    aperture: of a pixel over the pitch, height and width or one number for a square. displacement: see `PupilLens`.
+    """
+    height, width = np.broadcast_to(aperture, 2).tolist()
     corner = float(np.hypot(*shape)) / 2
     if optics.psf is not None:
-        return MeasuredLens(optics, optics.psf, pitch, aperture, tuple(n / 2 / corner for n in shape))
-    return PupilLens(optics, pitch, aperture, corner)
+        return MeasuredLens(optics, optics.psf, pitch, (height, width), tuple(n / 2 / corner for n in shape),
+                            displacement)
+    return PupilLens(optics, pitch, (height, width), corner, displacement)
 
 
 def wavelength_nodes(wavelengths):
@@ -147,7 +157,7 @@ class Differences:
         self.lens, self.shape, self.corner = lens, shape, corner
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
-        self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror
+        self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
         self.size = self._enough(error)
         self._axis = self._mixed((0.0, 0.0), self.size)
         self._known: dict = {}

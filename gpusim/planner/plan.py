@@ -17,17 +17,27 @@ from gpusim.planner.border import border_error, enough_reach
 from gpusim.planner.depth import DepthPlan, flattened, plan_depth
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
-from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, warp_grid
+from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
 from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, wavelength_nodes
-from gpusim.planner.sampling import AREA, NODES, SPARE, Taps, frame_start, pixel_response, pixel_taps, sampling_error
+from gpusim.planner.sampling import (
+    AREA,
+    NODES,
+    SPARE,
+    Taps,
+    bordered,
+    frame_start,
+    pixel_response,
+    pixel_taps,
+    sampling_error,
+)
 from gpusim.planner.weights import product_weights
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
-FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 over lenses of f/1.8 to f/8
+FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 at f/2.8 and 1.4 um on natural scenes
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
@@ -43,7 +53,7 @@ class Plan:
     weights: electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
     white_rate: electrons per second that a perfect white diffuser gives in each channel, on axis, shape (C,); None
         when the scene's light is unknown.
-    flat: what a flat field of each wavelength gives where a point in the middle of the aperture gives 1, shape (L,).
+    flat: what a flat field of each wavelength gives where every sample is a point of light of 1, shape (L,).
     table: planes from content entries (bands, basis coefficients or materials), shape (planes, entries), or None where
         the content's own planes are used.
     gains: channels from blurred planes, shape (C, planes); without blur the planes are the channels and it is None.
@@ -54,7 +64,7 @@ class Plan:
         then each one channel's, and transfers has the shape (1, planes, L).
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
     warp: where the lens puts the samples, None: where a pinhole would. gain: of every pixel, shape (rows, cols), where
-        it is more than the cos^4 law.
+        it is more than the cos^4 law of a grid of pixels in the middle.
     folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
@@ -97,21 +107,23 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
 
     transform_lengths: function of the least (rows, cols) and the mosaic's period that gives the kernels' transform
     lengths, and whether the mosaic folds into them. fft_length: function of a least length that gives the next one
-    that the kernels transform. transfer_tables: function of q (L,), the aperture's width, rows,
-    cols and how many samples there are to a pixel, that gives the tables of all wavelengths in float64: quarters, (L,
-    rows // 2 + 1, cols // 2 + 1), or halves as `optics.blur` takes them.
+    that the kernels transform. transfer_tables: function of q (L,), the aperture's height and width (or one number for
+    a square), rows, cols, how many samples there are to a pixel and, where it is not 0, how far the apertures are
+    displaced from them, that gives the tables of all wavelengths in float64: quarters, (L, rows // 2 + 1, cols // 2 +
+    1), or halves as `optics.blur` takes them.
     tolerance: wavelengths are fused into the fewest planes whose predicted error meets it; without one each is exact.
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
     needs. fft_free: blur by pyramids of separable kernels in place of transforms. keep: function (what, key, make) that
     may give what make() gave before for the same key.
-    A dark world (border "zero") gets at least
-    half the frame, so that no light of the frame comes back on its other side.
-    Raises BadData when their wavelengths do not overlap, OutOfRange when the pixels are far too coarse for the lens.
+    A dark world (border "zero") gets at least half the frame, so that no light of the frame comes back on its other
+    side.
+    Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
+    when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     optics, sensor = camera.optics, camera.sensor
     nodes, (content, depth) = scene.wavelengths, flattened(scene)
-    area = sensor.pixel_pitch**2 * sensor.fill_factor
+    area = prod(sensor.aperture)
     factors = [scene.illuminant, sensor.qe]
     constant = area * optics.irradiance_factor
     if isinstance(optics.transmission, Spectrum):
@@ -126,13 +138,18 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         raise BadData(f"{scene.name}: camera {camera.name} sees none of its light "
                       f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
 
+    _check_light(scene, content, camera)
     spectra = _entry_spectra(content)
-    ratio, fill = float(scene.samples_per_pixel), float(np.sqrt(sensor.fill_factor))
-    cell = fill if ratio == 1 else 1.0  # width over which blurred samples are integrated
+    ratio, blurred = float(scene.samples_per_pixel), optics.model != "none"
+    aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+    cell = aperture if ratio == 1 else (1.0, 1.0)  # height and width over which blurred samples are integrated
+    displacement = _checked_displacement(scene, sensor, blurred, fft_free)
+    moved = displacement if ratio == 1 and blurred else (0.0, 0.0)  # by the blur; else by the taps
+    more = ceil(ratio * max(map(abs, displacement)))  # samples beyond the frame that it sees
     rows, cols = (n + 2 * scene.margin for n in scene.samples)
     working = optics.working_f_number
     q = nodes * 1e-9 * working / (sensor.pixel_pitch / ratio)
-    if optics.model != "none" and q.min() < SMALLEST_Q:
+    if blurred and q.min() < SMALLEST_Q:
         step = "pixel pitch" if ratio == 1 else "distance of scene samples"
         raise OutOfRange(f"{camera.name}: wavelength x f-number / {step}", f"{q.min():.2g}",
                          f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
@@ -147,11 +164,12 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         if limit is not None:  # what the border takes is not left for the planes
             limit = np.sqrt(max(limit**2 - border**2, limit**2 / 2))
     by_depth, without = _by_depth(scene, depth, content, optics, sensor.pixel_pitch / ratio, weights, limit)
-    reach = ceil(reach * ratio) + (ceil(by_depth.reach) if by_depth else 0)
+    reach = ceil(reach * ratio) + (ceil(by_depth.reach) if by_depth else 0) + more
     reaches = [max(reach, -(-n // 2) if scene.border == "zero" else 0) for n in (rows, cols)]
     period, folded = transform_lengths([n + 2 * more for n, more in zip((rows, cols), reaches, strict=True)],
                                        np.shape(sensor.cfa_indices))
-    folded &= ratio == 1 and not sensor.is_monochrome and optics.is_symmetric and not optics.varies
+    folded &= ratio == 1 and not sensor.is_monochrome and not sensor.stacked
+    folded &= optics.is_symmetric and not optics.varies and not any(moved)
     if None in period:
         raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
                          "what the transforms take: a smaller scene, reach or aperture")
@@ -161,14 +179,14 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     tables_of = partial(_quick_tables, optics, sensor.pixel_pitch) if slow else transfer_tables
     models, left_out, predicted, highlights, varying = {}, [], {}, None, None
     taps, spare = None, 0
-    if ratio > 1:
+    if ratio > 1 or (more and not blurred):
         # the blur knows what is beyond the scene's samples; a picture without blur is constant over each of them
-        blurred = optics.model != "none"
         if blurred and not fft_free:
-            spare = min(SPARE, *((n - m) // 2 for n, m in zip(period, (rows, cols), strict=True)))
-        taps = _pixel_axes(scene, ratio, fill, spare, NODES if blurred else AREA)
-        models["optics.sample"] = f"{ratio:.4g} samples per pixel, integrated over its aperture"
-    if fft_free and optics.model != "none":
+            spare = min(SPARE + more, *((n - m) // 2 for n, m in zip(period, (rows, cols), strict=True)))
+        taps = (_blurred_axes if blurred else _plain_axes)(scene, ratio, aperture, displacement, spare)
+        models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over its "
+                                   f"aperture{_displaced(displacement)}")
+    if fft_free and blurred:
         if optics.varies or by_depth is not None or not optics.is_symmetric:
             raise OutOfRange("fft_free", f"{optics.description}{', by depth' if by_depth is not None else ''}",
                              "a blur that is the same all over the frame and at every angle")
@@ -176,27 +194,28 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     blur = "optics.nearfar" if fft_free else "optics.mosaic" if folded else "optics.blur"
     stage = "spectral.materials" if isinstance(content, Materials) else "spectral.integrate"
     form = type(content).__name__.lower()
-    if optics.model == "none":
+    if not blurred:
         table, gains, transfers = weights @ spectra.T, None, None
         models[stage] = f"{form} of {len(spectra)} entries straight to {len(weights)} channels (no blur to apply)"
         left_out.append('diffraction, lateral colour: optics.model is "none"' if np.any(optics.lateral_color_at(nodes))
                         else 'diffraction: optics.model is "none"')
     else:
         ideal = optics.is_ideal and not optics.varies and optics.distortion is None and by_depth is None
-        if ideal:  # the points' kernels are Airy's
+        # the points' kernels are Airy patterns integrated over a square that the point is in the middle of
+        if ideal and cell[0] == cell[1] and not any(moved) and (ratio > 1 or not sensor.stacked):
             content, highlights = split_highlights(content, weights, q.max(), scene.margin)
         elif left := unsplit_error(content, weights):
             predicted["local error beside highlights"] = left
-        if cell < 1:  # as points in the middle of the apertures, samples would count too much of a flat scene
-            flat = transfer_tables(q, cell, 1, 1, ratio)[:, 0, 0]
+        if min(cell) < 1:  # points in the middle of the apertures would count too much of a flat scene
+            flat = _tables(transfer_tables, q, cell, 1, ratio, moved)[:, 0, 0].real
         even = weights / flat
         table, gains, transfers, models[blur] = _exact(content, even, spectra)
         wrong = 0.0
         if optics.varies or limit is not None:
             corner = float(np.hypot(*scene.samples)) / 2
-            lens = open_lens(optics, sensor.pixel_pitch / ratio, cell, scene.samples)
+            lens = open_lens(optics, sensor.pixel_pitch / ratio, cell, scene.samples, moved)
             if optics.is_symmetric and not optics.varies:
-                tables = transfer_tables(q, cell, SAMPLED_PERIOD, SAMPLED_PERIOD, ratio)
+                tables = _tables(transfer_tables, q, cell, SAMPLED_PERIOD, ratio, moved)
             else:
                 half = np.array(scene.samples) / 2 / corner
                 tables = _sampled(lens, nodes, half * FIELD_POINTS if optics.varies else FIELD_POINTS[:1])
@@ -219,11 +238,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                 inputs, transfers, wrong, models[blur] = fused
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
         predicted["relative rms"] = float(np.hypot(wrong, FFT_FREE_ERROR if fft_free else TRANSFORM_ERROR))
-    over = "the pixel" if ratio == 1 else "each scene sample"
+    over = f"the pixel{_displaced(moved)}" if ratio == 1 else "each scene sample"
     if gains is not None:
         if table is not None:
             models[stage] = f"{form} of {len(spectra)} entries to {len(table)} planes"
-        if optics.is_ideal and by_depth is None:
+        if optics.is_ideal and by_depth is None and not any(moved):
             models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
         else:
             models["optics.pupil"] = f"{optics.description}, integrated over {over}"
@@ -242,20 +261,27 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         seen = scene.samples if gains is None else (rows, cols)
         warp = warp_grid(optics.distortion, seen, sensor.pixel_pitch / ratio, (rows, cols))
         models["optics.warp"] = f"distortion: {warp.report}"
-    slope, gain = 0.0, None
+    slope, falloffs = 0.0, {}
     if optics.relative_illumination == "cos4":
         slope = (2 * np.tan(scene.fov / 2) * ratio / scene.samples[1] if scene.fov
                  else sensor.pixel_pitch / optics.image_distance)
+        if any(displacement):  # the law that goes with the exposure is that of a grid in the middle
+            falloffs["cos^4"] = relative_illumination("cos4", scene.shape, slope, 1.0, displacement=displacement)
+            slope = 0.0
     elif optics.relative_illumination == "none":
         left_out.append('relative illumination: set to "none"')
     else:
-        gain = relative_illumination(optics.relative_illumination, scene.shape, sensor.pixel_pitch,
-                                     optics.image_distance)
-        models["optics.gain"] = "relative illumination as given"
+        falloffs["relative illumination as given"] = relative_illumination(
+            optics.relative_illumination, scene.shape, sensor.pixel_pitch, optics.image_distance,
+            displacement=displacement)
     if sensor.microlens is not None:
-        falloff = microlens_gain(sensor.microlens, scene.shape, sensor.pixel_pitch, optics.image_distance)
-        gain = falloff if gain is None else gain * falloff
-        models["optics.gain"] = " and ".join([*filter(None, [models.get("optics.gain")]), "microlenses"])
+        falloffs["microlenses"] = microlens_gain(sensor.microlens, scene.shape, sensor.pixel_pitch,
+                                                 optics.image_distance, displacement)
+    if sensor.vignetting is not None:
+        falloffs["pixel vignetting"] = vignetting_gain(sensor.vignetting, scene.shape, displacement)
+    gain = np.prod(list(falloffs.values()), axis=0) if falloffs else None
+    if falloffs:
+        models["optics.gain"] = " and ".join(falloffs)
     models["sensor.expose"] = f"{'cos^4, ' if slope else ''}mosaic of {'/'.join(sensor.cfa)}"
     if gains is not None:
         predicted["border"] = border
@@ -265,13 +291,13 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
-    predicted["scene sampling"] = sampling_error(content, weights, q, share, ratio, fill, taps,
-                                                 None if gains is None else tables_of)
+    predicted["scene sampling"] = sampling_error(content, weights, q, share, ratio, aperture, taps,
+                                                 None if gains is None else tables_of, moved)
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
                  *([f"depth: {without}, so the blur is the same at all distances"] if without else [])]
     needed = _bytes(rows, cols, period, content, table, gains, transfers, len(nodes), len(weights),
-                    1 if optics.is_symmetric else 4)
+                    1 if optics.is_symmetric and not any(moved) else 4)
     if by_depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         needed += 16 * len(weights) * rows * cols * len(by_depth.kernels) * by_depth.layers
     if varying is not None:
@@ -301,11 +327,72 @@ def _by_depth(scene, depth, content, optics, pitch, weights, limit):
     return made, ""
 
 
-def _pixel_axes(scene, ratio, aperture, spare, nodes):
+def _check_light(scene, content, camera):
+    """Refuse light on the sensor at wavelengths where its curves are not known."""
+    nodes, qe, light, through = content.wavelengths, camera.sensor.qe, scene.illuminant, camera.optics.transmission
+    known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
+    if nodes[0] >= known[0] and nodes[-1] <= known[1]:
+        return
+    factors = [light, *([through] if isinstance(through, Spectrum) else [])]
+    grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
+    grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
+                & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
+    there = content.values.any(axis=(1, 2)) if isinstance(content, Cube) else _entry_spectra(content).any(axis=0)
+    lit = np.prod([np.interp(grid, nodes, there), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
+    if not lit.any():
+        return
+    first, last = grid[:-1][lit][0], grid[1:][lit][-1]
+    if first < known[0] or last > known[1]:
+        raise OutOfRange(f"sensor.qe of {camera.name}", f"{qe.wavelengths[0]:g} .. {qe.wavelengths[-1]:g} nm",
+                         f"as far as the light of {scene.name}, {first:g} .. {last:g} nm; a curve that is 0 beyond its "
+                         'ends can be extended with zeros: qe_ends = "zero" in the camera file')
+
+
+def _checked_displacement(scene, sensor, blurred, fft_free):
+    """Displacement of the apertures from a centred grid [pixel], refused where nothing honours it."""
+    displacement = sensor.displacement
+    shown = f"{displacement[0]:.6g}, {displacement[1]:.6g} pixels"
+    if any(abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)):
+        raise OutOfRange("sensor.offset + sensor.centre", shown, "up to a quarter of the frame; or move the scene")
+    if not blurred and scene.samples_per_pixel == 1 and any(abs(move - round(move)) > 1e-9 for move in displacement):
+        raise OutOfRange("sensor.offset + sensor.centre", f"{shown}, with one scene sample per pixel and no blur",
+                         "whole pixels; or raise samples_per_pixel, or blur")
+    if fft_free and blurred and any(displacement):
+        raise OutOfRange("fft_free", f"a grid displaced by {shown}", "sensor.offset + sensor.centre = 0")
+    return displacement
+
+
+def _displaced(displacement):
+    return f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels" if any(displacement) else ""
+
+
+def _tables(transfer_tables, q, aperture, period, ratio, moved):
+    """Transfer tables of a period: real quarters, or complex halves of displaced apertures."""
+    if not any(moved):
+        return transfer_tables(q, aperture, period, period, ratio)
+    return np.ascontiguousarray(transfer_tables(q, aperture, period, period, ratio, moved)).view(complex)
+
+
+def _blurred_axes(scene, ratio, aperture, displacement, spare):
     """Taps of the rows and the columns of pixels among the scene's samples and `spare` more on each side."""
-    rows, cols = (pixel_taps(n + 2 * spare, pixels, ratio, aperture, spare + frame_start(n, pixels, ratio), nodes)
-                  for n, pixels in zip(scene.samples, scene.shape, strict=True))
+    rows, cols = (pixel_taps(n + 2 * spare, pixels, ratio, width, spare + frame_start(n, pixels, ratio), NODES, move)
+                  for n, pixels, width, move in zip(scene.samples, scene.shape, aperture, displacement, strict=True))
     return rows, cols
+
+
+def _plain_axes(scene, ratio, aperture, displacement, _):
+    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border's rule."""
+    axes = []
+    for n, pixels, width, move in zip(scene.samples, scene.shape, aperture, displacement, strict=True):
+        more = ceil(ratio * abs(move))
+        taps = pixel_taps(n + 2 * more, pixels, ratio, width, more + frame_start(n, pixels, ratio), AREA, move)
+        first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
+        if scene.border == "scene" and not (more - 1e-6 <= first and last <= n + more + 1e-6):
+            raise OutOfRange("sensor.offset + sensor.centre", f"{move:.6g} pixels, beyond the frame",
+                             'within it, as optics model "none" sees no surroundings; or border = "edge"')
+        axes.append(bordered(taps, n, more, scene.border) if more else taps)
+    return tuple(axes)
 
 
 def _exact(content, weights, spectra):

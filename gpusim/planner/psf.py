@@ -7,10 +7,11 @@ from gpusim.domain.psf import PointSpread
 
 
 def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, finest=0.0, place=(0.0, 0.0),
-               whole=True):
+               whole=True, displacement=(0.0, 0.0)):
     """Transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
 
-    pitch: of the pixels [m]. aperture: width of the pixel aperture over the pitch. rows, cols: transform period.
+    pitch: of the pixels [m]. aperture: height and width of the pixel's aperture over the pitch, or one number for a
+    square. displacement: (rows, cols) of its middle from the scene's sample [pixel]. rows, cols: transform period.
     finest: lambda N / 2 of the shortest wavelength [m] if known: samples of the lens's irradiance that are further
     apart do not determine it. place: field point, see `PointSpread.at`. Between its wavelengths the spread is linear;
     beyond them it is refused. whole: refuse what a convolution of this period could not do; without, the tables are the
@@ -20,7 +21,8 @@ def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, fi
     Samples of the irradiance are those of a function without frequencies beyond half their rate (sampling theorem,
     spacing <= lambda N / 2), so any ratio of pitch and spacing is exact: a pixel's share of each sample is the
     transform of the aperture up to that frequency, folded by the pixels, which separates into rows and columns.
-    Raises OutOfRange with the figures when the samples are too coarse, or the spread larger than the period.
+    Raises OutOfRange with the figures when the samples are too coarse, the spread larger than the period, or energies
+    of pixels are displaced by parts of a pixel.
     """
     wavelengths = np.asarray(wavelengths, np.float64)
     known = spread.wavelengths
@@ -31,6 +33,10 @@ def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, fi
     if whole and spread.integrated and abs(ratio - 1) > 1e-9:
         raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
                          f"the pixel pitch, {pitch * 1e6:.6g} um: energies of other pixels cannot be resampled")
+    if spread.integrated and any(move % 1 for move in displacement):
+        raise OutOfRange("sensor.offset + sensor.centre", "{:.6g}, {:.6g} pixels".format(*displacement),
+                         "whole pixels: the point spread holds energies of pixels, which cannot be resampled; give "
+                         "samples of the irradiance")
     if not spread.integrated and finest and spread.spacing > finest * (1 + 1e-9):
         raise OutOfRange("point spread spacing", f"{spread.spacing * 1e6:.6g} um",
                          f"up to {finest * 1e6:.6g} um, half of lambda N: coarser samples do not determine it")
@@ -40,8 +46,8 @@ def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, fi
             raise OutOfRange(f"point spread {axis}", f"{size} samples = {size * ratio:.4g} pixels",
                              f"up to the {period} pixels of scene and surroundings")
     fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
-    left = _sampled(fy, values.shape[1], ratio, aperture, spread.integrated)
-    right = _sampled(fx, values.shape[2], ratio, aperture, spread.integrated)
+    left, right = (_sampled(f, size, ratio, width, spread.integrated, move) for f, size, width, move in zip(
+        (fy, fx), values.shape[1:], np.broadcast_to(aperture, 2), displacement, strict=True))
     own = np.stack([left @ one @ right.T for one in values])
     share = np.interp(wavelengths, known, np.arange(len(known)))
     low = np.minimum(share.astype(int), max(len(known) - 2, 0))
@@ -54,9 +60,9 @@ def psf_tables(spread: PointSpread, wavelengths, pitch, aperture, rows, cols, fi
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _sampled(frequencies, count, ratio, aperture, integrated):
+def _sampled(frequencies, count, ratio, aperture, integrated, displacement):
     """Transform of what each of `count` samples `ratio` pixels apart gives to the pixels, (frequencies, count)."""
-    places = (np.arange(count) - (count - 1) / 2) * ratio
+    places = (np.arange(count) - (count - 1) / 2) * ratio - displacement
     if integrated:
         return np.exp(-2j * np.pi * np.outer(frequencies, places))
     reach = int(np.ceil(0.5 / ratio + 0.5))

@@ -43,13 +43,15 @@ def frame_start(samples: int, pixels: int, ratio: float) -> float:
     return start // 1 if float(ratio).is_integer() else max(start, 0.0)
 
 
-def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: float, nodes: int = NODES) -> Taps:
+def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: float, nodes: int = NODES,
+               displacement: float = 0.0) -> Taps:
     """Weights of `samples` cells in `pixels` pixels.
 
-    ratio: samples per pixel. aperture: width of the light-sensitive part, in the pixel's middle [pixel]. start: of the
-    first pixel's edge [sample]. nodes: of the interpolating polynomial, NODES or AREA.
+    ratio: samples per pixel. aperture: width of the light-sensitive part [pixel]. start: of the first pixel's edge
+    [sample]. nodes: of the interpolating polynomial, NODES or AREA. displacement: of the middle of the light-sensitive
+    part from the pixel's [pixel]. What lies beyond the samples is dark.
     """
-    centres = start + ratio * (np.arange(pixels) + 0.5)
+    centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
     first, below = _cumulative(centres - ratio * aperture / 2, samples, nodes)
     last, above = _cumulative(centres + ratio * aperture / 2, samples, nodes)
     # the cumulative at node k holds every sample before k: a sample's weight is the sum of those of the nodes behind it
@@ -61,6 +63,20 @@ def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: 
     for row, values, shift in zip(kept, weights, first - begin, strict=True):
         row[shift:] = values[: len(row) - shift]
     return Taps(begin.astype(np.int32), kept, centres)
+
+
+def bordered(taps: Taps, samples: int, more: int, border: str) -> Taps:
+    """Taps of `samples` from those of as many with `more` on each side, which are as `border` says."""
+    at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more
+    inside = np.clip(at, 0, samples - 1)
+    weights = np.where(at == inside, taps.weights, 0) if border == "zero" else taps.weights
+    if border == "reflect":  # the outermost sample is repeated
+        inside = np.minimum(at % (2 * samples), (-1 - at) % (2 * samples))
+    count = int(np.ptp(inside, axis=1).max()) + 1
+    start = np.minimum(inside.min(axis=1), samples - count)
+    kept = np.zeros((len(at), count))
+    np.add.at(kept, (np.arange(len(at))[:, None], inside - start[:, None]), weights)
+    return Taps(start.astype(np.int32), kept, taps.centres - more)
 
 
 def _cumulative(edges, samples, nodes):
@@ -90,13 +106,15 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
     return along_y[:, None] * along_x
 
 
-def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: float, aperture: float, taps,
-                   transfer_tables=None) -> float:
+def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: float, aperture, taps,
+                   transfer_tables=None, displacement=(0.0, 0.0)) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
     weights: electrons per content, shape (C, L). q: wavelength times f-number over the distance of samples, (L,).
-    share: part of the pixels that has each channel, (C,). taps: pair of `Taps` (rows, columns), None at ratio 1.
-    transfer_tables: see `gpusim.planner.plan.plan`; None without blur.
+    share: part of the pixels that has each channel, (C,). aperture: height and width of a pixel's [pixel]. taps: pair
+    of `Taps` (rows, columns), None where each pixel is one sample. transfer_tables: see `gpusim.planner.plan.plan`;
+    None without blur. displacement: of the apertures' middles from the samples, (rows, cols) [pixel], where there are
+    no taps.
 
     The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
     where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
@@ -115,7 +133,7 @@ def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: 
     responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
     error = 0.0
     for channel, part in enumerate(share):
-        per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses)
+        per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses, displacement)
         error += part * (per_jump * jumps[channel] + per_change * changes[channel])
     return float(np.sqrt(error / (share @ squares)))
 
@@ -214,9 +232,8 @@ def _channel_optics(waves, seen, q, ratio, transfer_tables):
     return np.tensordot(share, tables, 1)[:, index[:, None] % n, index % n] * (cell[:, None] * cell)
 
 
-def _box(f, width):
-    one = np.sinc(width * f)
-    return one[:, None] * one
+def _box(f, height=1.0, width=1.0):
+    return np.sinc(height * f)[:, None] * np.sinc(width * f)
 
 
 def _porod(f):
@@ -231,10 +248,10 @@ def _difference_power(means: bool) -> float:
     """Mean square difference of neighbouring samples, summed over both directions, of a scene of power |f|^-3."""
     f = (np.arange(9 * 96) + 0.5) / 96 - 4.5
     slope = 4 * np.sin(np.pi * f) ** 2
-    return float((_porod(f) * (_box(f, 1.0) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2)
+    return float((_porod(f) * (_box(f) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2)
 
 
-def _unit_errors(optical, waves, ratio, aperture, responses):
+def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     """Mean square errors where samples differ by 1 in the mean square: points, means.
 
     optical: (F, F), or None without blur. responses: of pixels from samples along both axes, see `_mean_response`.
@@ -243,15 +260,18 @@ def _unit_errors(optical, waves, ratio, aperture, responses):
     flat = np.flatnonzero(f == 0)[0], np.flatnonzero(f == 0)[0]
     (mean_y, square_y), (mean_x, square_x) = responses
     mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
-    true = _box(f, ratio * aperture)
+    true = _box(f, *(ratio * side for side in aperture))
+    if any(displacement):
+        down, across = (np.exp(2j * np.pi * move * f) for move in displacement)
+        true = true * (down[:, None] * across)
     seen = np.ones_like(true)  # without blur, a sample is what it is
     if optical is not None:
         true = optical * true
-        seen = waves.folded(true if ratio == 1 else optical * _box(f, 1.0))
+        seen = waves.folded(true if ratio == 1 else optical * _box(f))
         seen = seen / np.real(seen[flat])  # flat fields are exact
     errors = []
     for means in (False, True):
-        got = seen * (_box(f, 1.0) if means else 1.0)
+        got = seen * (_box(f) if means else 1.0)
         error = np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
         errors.append(float((_porod(f) * error).sum() * waves.step**2) / _difference_power(means))
     return errors

@@ -5,10 +5,11 @@ Ports: q (bands,) [1], the wavelength times the working f-number over the pixel 
 
 The pixel-integrated point spread, sampled once per pixel, has the discrete transform
 
-    T(f) = sum over integers (a, b) of  O(|f + (a, b)| q) sinc(w (fx + a)) sinc(w (fy + b)),
+    T(f) = sum over integers (a, b) of  O(|f + (a, b)| q) sinc(h (fy + a)) sinc(w (fx + b)),
 
-f in cycles per pixel, w the aperture's width in pixels, O the transfer function of a circular pupil. The sum is finite
-because O ends at 1/q. Cutting it at Nyquist instead (a = b = 0 alone) rings by 2 % of a highlight's peak.
+f in cycles per pixel, h and w the aperture's height and width in pixels, O the transfer function of a circular pupil.
+The sum is finite because O ends at 1/q. Cutting it at Nyquist instead (a = b = 0 alone) rings by 2 % of a highlight's
+peak.
 """
 
 import numpy as np
@@ -20,8 +21,8 @@ from gpusim.kernels.stage import Case, stage
 def airy(device, q, aperture, rows, cols):
     """Quarter tables of the pixel-integrated transfer function.
 
-    q: lambda N / pitch per band, shape (bands,), each > 0. aperture: width of the (square) pixel aperture over the
-    pitch, the root of the fill factor. rows, cols: the period of the transform [pixel].
+    q: lambda N / pitch per band, shape (bands,), each > 0. aperture: height and width of the pixel's aperture over the
+    pitch, or one number for a square. rows, cols: the period of the transform [pixel].
     Returns shape (bands, rows // 2 + 1, cols // 2 + 1); entry (l, i, j) is at the frequency (i / rows, j / cols).
     Source: Hopkins, Proc. R. Soc. A 231 (1955) for O; the folding is the sampling theorem.
     """
@@ -33,8 +34,9 @@ def airy(device, q, aperture, rows, cols):
     run = 64 if device.kind == "opencl" and not device.is_gpu else 1
     runs = -(-shape[2] // run)
     replicas = np.arange(low, high + 1)[:, None]
-    sinc_y = np.sinc(aperture * (replicas + np.arange(shape[1]) / rows))
-    sinc_x = np.sinc(aperture * (replicas + np.arange(runs * run) / cols))
+    height, width = np.broadcast_to(aperture, 2)
+    sinc_y = np.sinc(height * (replicas + np.arange(shape[1]) / rows))
+    sinc_x = np.sinc(width * (replicas + np.arange(runs * run) / cols))
     device.launch("optics.airy", "airy", (*shape[:2], runs), device.array(q), device.array(sinc_y),
                   device.array(sinc_x), tables, 1 / rows, 1 / cols, low, high, *shape, defines={"RUN": run},
                   group=None if device.is_gpu or device.kind == "warp" else (1, 1, 1))
@@ -42,11 +44,11 @@ def airy(device, q, aperture, rows, cols):
 
 
 def cases():
-    """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, a small fill factor."""
+    """Pixels from 20x coarser to 9x finer than the diffraction limit, odd periods, small and oblong apertures."""
     why = ("a term errs by a few ulp of its value (at most 1) and by 2e-7 in its argument s, |dO/ds| <= 4/pi: 4e-7 in "
            "all; the replicas' weights sum to at most 2 from q = .25 on; at .05 to 7, over 1200 independent errors")
     for q, aperture, rows, cols in (((0.05,), 1.0, 6, 9), ((0.25, 0.4), 1.0, 65, 64),
-                                    ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), 1.0, 5, 3), ((1.1,), 1.0, 1, 1),
+                                    ((0.71, 0.99, 1.1), 0.866, 63, 81), ((9.0,), (0.9, 0.4), 5, 3), ((1.1,), 1.0, 1, 1),
                                     (tuple(np.linspace(0.5, 0.9, 31)), 1.0, 12, 400)):
         yield Case(f"q {q[0]:.2f} .. {q[-1]:.2f}, {rows}x{cols}",
                    {"q": np.array(q, np.float32), "aperture": aperture, "rows": rows, "cols": cols}, 1e-6, why)

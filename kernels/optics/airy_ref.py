@@ -14,6 +14,7 @@ def otf(s):
 
 def airy(q, aperture, rows, cols):
     """Sum over the replicas that the sampling folds onto each frequency; all with 1/q within reach."""
+    height, width = np.broadcast_to(aperture, 2)
     fy = np.arange(rows // 2 + 1)[:, None] / rows
     fx = np.arange(cols // 2 + 1) / cols
     tables = np.zeros((len(q), rows // 2 + 1, cols // 2 + 1))
@@ -22,5 +23,5 @@ def airy(q, aperture, rows, cols):
         for a in range(-reach, reach + 1):
             for b in range(-reach, reach + 1):
                 y, x = fy + a, fx + b
-                table += otf(np.hypot(y, x) * one_q) * np.sinc(aperture * y) * np.sinc(aperture * x)
+                table += otf(np.hypot(y, x) * one_q) * np.sinc(height * y) * np.sinc(width * x)
     return tables

@@ -55,8 +55,8 @@ __kernel void polar(
     // in:
     __global const float *restrict table,     // [bands][sectors * per_sector + 1][length][2]
     __global const float *restrict q,
-    __global const float *restrict weight_y,  // [replicas][rows]
-    __global const float *restrict weight_x,  // [replicas][cols]
+    __global const float2 *restrict weight_y,  // [replicas][rows]
+    __global const float2 *restrict weight_x,  // [replicas][cols]
     __global const float *restrict fy, __global const float *restrict fx,
     // out:
     __global float2 *restrict tables,         // [bands][rows][cols]
@@ -87,8 +87,9 @@ __kernel void polar(
             const int start = min((int)ray / per_sector, sectors - 1) * per_sector;
             const int j = start + clamp((int)ray - start, 1, per_sector - 2);
             const float4 across = cubic(ray - j);
-            const float weight = weight_y[(a - low) * rows + y] * weight_x[(b - low) * cols + x];
-            const float2 weights = (float2)(weight, ((int)whole & 1) ? -weight : weight);
+            const float2 wy = weight_y[(a - low) * rows + y], wx = weight_x[(b - low) * cols + x];
+            const float2 weight = (float2)(wy.x * wx.x - wy.y * wx.y, wy.x * wx.y + wy.y * wx.x);
+            const float sign = ((int)whole & 1) ? -1.0f : 1.0f;
             for (int n = 0; n < count; ++n) {
                 const float s = q[first + n] * radius;
                 if (s >= 1.0f) continue;
@@ -100,7 +101,8 @@ __kernel void polar(
                                   + across.z * vload8(0, near + 4 * length) + across.w * vload8(0, near + 6 * length);
                 const float8 sum = line * along.xxyyzzww;
                 const float4 half_sum = sum.lo + sum.hi;
-                sums[n] += weights * (half_sum.lo + half_sum.hi);
+                const float2 value = (half_sum.lo + half_sum.hi) * (float2)(1.0f, sign);
+                sums[n] += (float2)(weight.x * value.x - weight.y * value.y, weight.x * value.y + weight.y * value.x);
             }
         }
     for (int n = 0; n < count; ++n) tables[((size_t)(first + n) * rows + y) * cols + x] = sums[n];

@@ -2,17 +2,19 @@
 
 Ports: waves (bands, n, n) [waves], coefficients [i, j] of x^i y^j, and q (bands,) [1], the wavelength times the
 working f-number over the pixel pitch -> tables float32 [1]: the quarter (bands, rows // 2 + 1, cols // 2 + 1) when
-pupil and wavefront are the same at every angle, else the half (bands, rows, 2 (cols // 2 + 1)) of the transform, real
-and imaginary parts side by side; row i >= rows / 2 is the frequency i - rows.
+pupil and wavefront are the same at every angle and the apertures are in their pixels' middles, else the half (bands,
+rows, 2 (cols // 2 + 1)) of the transform, real and imaginary parts side by side; row i >= rows / 2 is the frequency
+i - rows.
 
 As in optics.airy the transfer function O of the optics is folded,
 
     T(f) = sum over integers (a, b) of  O((f + (a, b)) q) K(fy + a) K(fx + b),
-    K(f) = sinc(w f) cos(pi d f) exp(-2 (pi sigma f)^2),
+    K(f) = sinc(w f) cos(pi d f) exp(-2 (pi sigma f)^2) exp(2 pi i m f),
 
 w the aperture's width, d the distance of the two images that a birefringent plate makes along that axis, sigma the
-width of a Gaussian diffuser [pixel]. O is tabulated in float64 on the host, radially or along rays, and interpolated
-by cubics on the device. The nodes are even in sqrt(1 - s), s = 1 at the cut-off, where O ends as (1 - s)^(3/2).
+width of a Gaussian diffuser, m how far the middle of the aperture is moved [pixel]. O is tabulated in float64 on the
+host, radially or along rays, and interpolated by cubics on the device. The nodes are even in sqrt(1 - s), s = 1 at the
+cut-off, where O ends as (1 - s)^(3/2).
 For a polygon, s is counted along each ray up to its own cut-off, and no cubic reaches across a ray on which O has an
 edge: the directions of the polygon's sides, and the corners of the cut-off.
 """
@@ -29,25 +31,29 @@ BLOCK = 32  # bands of a CPU's work-item
 
 
 @stage
-def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0):
+def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0,
+          displacement=(0.0, 0.0)):
     """Tables of the pixel-integrated transfer function: quarter (real) or half (complex), see above.
 
-    outline: Pupil. waves: shape (bands, n, n). q: shape (bands,), each > 0. aperture: width of the (square) pixel
-    aperture over the pitch. rows, cols: the period of the transform [pixel]. spots: distance of the images of a
-    birefringent low-pass along (y, x) [pixel], 0 for one image. diffuser: standard deviation [pixel].
+    outline: Pupil. waves: shape (bands, n, n). q: shape (bands,), each > 0. aperture: height and width of the
+    pixel's aperture over the pitch, or one number for a square. rows, cols: the period of the transform [pixel].
+    spots: distance of the images of a birefringent low-pass along (y, x) [pixel], 0 for one image. diffuser: standard
+    deviation [pixel]. displacement: (y, x) of the apertures' middles from those of the scene's samples [pixel].
     """
     waves = np.asarray(device.numpy(waves), np.float64)
     q = np.asarray(device.numpy(q), np.float32)
     cutoff = 1 / float(q.min())
-    real = symmetric(outline, waves)
+    real = symmetric(outline, waves) and not any(displacement)
     fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
     fx = np.arange(cols // 2 + 1) / cols
     low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
     replicas = np.arange(low, high + 1)[:, None]
-    weight_y, weight_x = (
-        np.sinc(aperture * f) * np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
-        for f, spot in ((replicas + fy, spots[0]), (replicas + fx, spots[1])))
-    common = (device.array(q), device.array(weight_y), device.array(weight_x), device.array(fy), device.array(fx))
+    weights = [
+        np.sinc(width * f) * np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
+        for f, width, spot, move in zip((replicas + fy, replicas + fx), np.broadcast_to(aperture, 2), spots,
+                                        displacement, strict=True)]
+    weights = [one.real if real else np.stack([one.real, one.imag], axis=-1) for one in weights]
+    common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
     # a CPU's work-item makes a frequency of many bands: they share its direction and its replicas
     block = min(len(q), BLOCK) if device.kind == "opencl" and not device.is_gpu else 1
     grid = (-(-len(q) // block), fy.size, fx.size)
@@ -86,7 +92,8 @@ def polar_table(outline: Pupil, waves):
     range_ = peak_to_valley(waves)
     sides, inner = cutoff_polygon(outline)
     sectors = max(1, 2 * outline.blades)
-    per_sector = max(8, ceil(48 * (1 + range_ / 2) / sectors))
+    # of one sector, rays may be few where they are all the same
+    per_sector = 8 if symmetric(outline, waves) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
     first = outline.rotation + np.pi / outline.blades if sides else 0.0
     turn = np.linspace(0, np.pi, sectors * per_sector + 1)
     length = 192 + ceil(48 * range_)
@@ -118,22 +125,26 @@ def cutoff_polygon(outline):
 
 
 def cases():
-    """Every kind of pupil and wavefront, a coarse and a fine pixel, odd periods, low-pass."""
+    """Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd periods, low-pass."""
     why = ("cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
            "that below 1.4e-5 of O(0) = 1; the replicas' weights sum to at most 2; float32 adds 1e-6")
     blur = np.pad(disc_power(1), (0, 2))
     defocus, spherical = np.array([0.8, 1.5])[:, None, None] * blur, 0.5 * disc_power(2)[None] - 0.4 * blur
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]
     flat = np.zeros((1, 3, 3))
-    for name, outline, waves, q, aperture, rows, cols, spots, diffuser in (
+    for name, outline, waves, q, aperture, rows, cols, spots, diffuser, *displacement in (
             ("defocus", Pupil(), defocus, (0.6, 1.1), 0.866, 12, 9, (0, 0), 0),
             ("coarse pixel", Pupil(), flat, (0.25,), 1.0, 8, 5, (1.0, 0.5), 0.3),
             ("obscured, spherical", Pupil(0, 0.3), spherical, (1.0,), 1.0, 9, 8, (0, 0), 0),
             ("corner of a field", Pupil(), corner, (1.1,), 1.0, 16, 9, (0, 0), 0),
             ("six blades, defocus", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 1.0, 7, 10, (0, 1.0), 0),
-            ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0)):
+            ("five blades", Pupil(5, 0, 0.1), flat, (0.7,), 1.0, 8, 9, (0, 0), 0),
+            ("oblong, displaced", Pupil(), flat, (0.4,), (1.0, 0.5), 8, 9, (0, 0), 0, 0.5, -0.25),
+            ("defocus, displaced", Pupil(), defocus, (0.6, 1.1), (0.4, 0.8), 9, 10, (0, 0), 0.2, 0.1, 1.0),
+            ("six blades, displaced", Pupil(6, 0.2, 0.3), defocus[:1], (0.9,), 0.8, 7, 10, (0, 1.0), 0, -3.0, 0.3)):
         yield Case(name, {"outline": outline, "waves": waves, "q": np.array(q, np.float32), "aperture": aperture,
-                          "rows": rows, "cols": cols, "spots": spots, "diffuser": diffuser}, 3e-5, why)
+                          "rows": rows, "cols": cols, "spots": spots, "diffuser": diffuser,
+                          "displacement": tuple(displacement) or (0, 0)}, 3e-5, why)
 
 
 def bench(rows, cols):

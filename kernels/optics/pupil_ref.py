@@ -15,14 +15,16 @@ from gpusim.kernels.optics.pupil import cutoff_polygon, polar_table
 EXACT = 2000  # frequencies
 
 
-def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0):
+def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)):
     """See the contract: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)
-    real = symmetric(outline, waves)
+    even = symmetric(outline, waves)
+    real = even and not any(displacement)
+    height, width = np.broadcast_to(aperture, 2)
     fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
     fx = np.arange(cols // 2 + 1) / cols
     tables = np.zeros((len(q), fy.size, fx.size), complex)
-    value = _integral if tables.size < EXACT else _spline_radial if real else _spline_polar
+    value = _integral if tables.size < EXACT else _spline_radial if even else _spline_polar
     for table, one_q, wave in zip(tables, np.asarray(q, np.float64), waves, strict=True):
         otf = value(outline, wave[None])
         reach = int(np.ceil(1 / one_q + 0.5))
@@ -30,9 +32,10 @@ def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.
             for b in range(-reach, reach + 1):
                 y, x = np.broadcast_arrays(fy + a, fx + b)
                 inside = np.hypot(y, x) * one_q < 1
-                weight = np.sinc(aperture * y) * np.sinc(aperture * x)
+                weight = np.sinc(height * y) * np.sinc(width * x)
                 weight = weight * np.cos(np.pi * spots[0] * y) * np.cos(np.pi * spots[1] * x)
                 weight = weight * np.exp(-2 * (np.pi * diffuser) ** 2 * (y * y + x * x))
+                weight = weight * np.exp(2j * np.pi * (displacement[0] * y + displacement[1] * x))
                 table[inside] += weight[inside] * otf(x[inside] * one_q, y[inside] * one_q)
     return tables.real.copy() if real else tables.view(np.float64)
 

@@ -17,6 +17,11 @@ def place(s: float, length: int):  # 1 - sqrt(1 - s) without its cancellation, i
     return s / (1.0 + wp.sqrt(1.0 - s)) * float(length - 1)
 
 
+@wp.func
+def product(a: wp.vec2, b: wp.vec2):  # of complex numbers
+    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
 @wp.kernel
 def radial(
     # in:
@@ -59,8 +64,8 @@ def polar(
     # in:
     table: wp.array4d[float],
     q: wp.array[float],
-    weight_y: wp.array2d[float],
-    weight_x: wp.array2d[float],
+    weight_y: wp.array3d[float],
+    weight_x: wp.array3d[float],
     fy: wp.array[float],
     fx: wp.array[float],
     # out:
@@ -111,7 +116,8 @@ def polar(
                         weight = across[k] * along[m]
                         value += weight * wp.vec2(table[band, j + k - 1, i + m - 1, 0],
                                                   table[band, j + k - 1, i + m - 1, 1])
-                weight = weight_y[a - low, y] * weight_x[b - low, x]
-                total += weight * wp.vec2(value[0], sign * value[1])
+                weights = product(wp.vec2(weight_y[a - low, y, 0], weight_y[a - low, y, 1]),
+                                  wp.vec2(weight_x[b - low, x, 0], weight_x[b - low, x, 1]))
+                total += product(weights, wp.vec2(value[0], sign * value[1]))
     tables[band, y, 2 * x] = total[0]
     tables[band, y, 2 * x + 1] = total[1]

@@ -1,0 +1,196 @@
+"""A sensor's electronics on a device: from mean electrons to digital numbers."""
+
+import dataclasses
+from math import prod
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.sensor import FLOAT_BITS, Sensor
+from gpusim.kernels.sensor.bin import bin as bin_pixels
+from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.noise import noise
+from gpusim.kernels.sensor.pattern import pattern
+from gpusim.planner.binning import binned
+
+HUGE = 1e30  # [e-] a well that no charge fills
+RESET = 2**30  # number of the read whose random numbers the reset has
+BATCH = 2**26  # [pixel] of frames that are drawn at once
+
+
+class Readout:
+    """One chip of a sensor on a device.
+
+    sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
+    output pixel's.
+    """
+
+    def __init__(self, sensor: Sensor, device):
+        self.sensor, self.device = sensor, device
+        self.stride, mosaic = binned(sensor.cfa_indices, sensor.binning)
+        charge = sensor.binning_mode == "charge"
+        self.pixels = prod(sensor.binning) if charge else 1
+        self.output = dataclasses.replace(
+            sensor, cfa=tuple("".join(sensor.channels[c] for c in row) for row in mosaic), binning=(1, 1),
+            full_well=sensor.full_well * self.pixels,
+            noise=dataclasses.replace(sensor.noise, dark_current=sensor.noise.dark_current * self.pixels))
+        self._digital = not charge and sensor.binning != (1, 1)
+        self._patterns: dict = {}
+
+    def operated(self, gain: float) -> Sensor:
+        """The output sensor with its analog gain multiplied by `gain`."""
+        return dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
+
+    def expected(self, mean, exposure_time: float, scale: float = 1.0):
+        """Electrons that this chip is expected to collect, without the dark current all pixels have in common.
+
+        mean: of the scene, array of the device, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
+        exposure_time: [s]. scale: multiplies the mean [1]. Returns shape (rows, cols), layers one below the other,
+        binned where charge is.
+        """
+        sensor, chip = self.sensor, self.sensor.noise
+        rows, cols = prod(mean.shape[:-1]), mean.shape[-1]
+        mean = self.device.reshape(mean, (rows, cols))
+        response = dark = None
+        if chip.prnu or chip.row_prnu or chip.column_prnu or chip.dead_pixels:
+            response = self._pattern("response", rows, cols, mean=1.0, pixel=chip.prnu, row=chip.row_prnu,
+                                     column=chip.column_prnu, dead=chip.dead_pixels)
+        if chip.hot_pixels and chip.hot_current:
+            dark = self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
+        if response is not None or dark is not None or scale != 1:
+            mean = expect(mean, response, dark, scale=scale, dark_time=exposure_time * chip.warmth, device=self.device)
+        return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
+
+    def mean(self, mean):
+        """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
+        if self.sensor.binning != (1, 1):
+            mean = self._binned(mean)
+        mean = np.array(self.device.numpy(mean), np.float32)
+        return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
+
+    def draw(self, expected, exposure_time: float, *, gain: float = 1.0, seed=0, frame=0, frames=None):
+        """Raw values (rows, cols), or (frames, rows, cols), around `expected` electrons (see the method).
+
+        gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
+        """
+        raw = self._read(expected, exposure_time, self.operated(gain), sigma=self.operated(gain).read_sigma,
+                         photon=self.sensor.noise.photon, seed=seed, frame=frame, frames=frames)
+        if not self._digital:
+            return raw
+        whole = raw if frames else self.device.reshape(raw, (1, *raw.shape))
+        averages = [bin_pixels(self.device.array(np.ascontiguousarray(one), np.uint16), binning=self.sensor.binning,
+                               stride=self.stride, average=True, device=self.device)
+                    for one in self.device.numpy(whole)]
+        return np.stack([self.device.numpy(one) for one in averages]) if frames else averages[0]
+
+    def average(self, expected, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
+        """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
+        if not (count >= 1 and count == int(count)):
+            raise OutOfRange("count of averaged frames", count, "a whole number, count >= 1")
+        total, kind = 0, np.float64 if self.sensor.bits == FLOAT_BITS else np.uint64
+        batch = max(1, min(BATCH // prod(expected.shape), 2**15, count))
+        for start in range(0, count, batch):
+            raw = self.draw(expected, exposure_time, gain=gain, seed=seed, frame=first + start,
+                            frames=min(batch, count - start))
+            total = total + self.device.numpy(raw).sum(axis=0, dtype=kind)
+        return total / count
+
+    def nondestructive(self, mean, exposure_time: float, times, *, gain: float = 1.0, seed=0, frame=0):
+        """Raw values of reads that leave the charge in the pixels, NumPy (reads, rows, cols).
+
+        mean: electrons of `exposure_time` [s], see `expected`. times: of the reads since the reset [s], rising. The
+        reads see one growing charge, photon by photon, and share the reset's noise; each has its own read noise.
+        """
+        times = np.asarray(times, np.float64)
+        if times.ndim != 1 or not times.size or not (np.isfinite(times) & (np.diff(times, prepend=0.0) > 0)).all():
+            raise OutOfRange("times of the reads", times.tolist(), "one or more finite times, rising from above 0 s")
+        if self._digital:
+            raise BadData("non-destructive reads: the sensor bins digital numbers; wanted binning_mode = \"charge\"")
+        sensor, device, chip = self.operated(gain), self.device, self.sensor.noise
+        common = {"gain": 1.0, "full_well": HUGE, "electrons": True, "seed": seed, "frame": frame, "device": device}
+        reads, charge, previous = [], 0.0, 0.0
+        for number, time in enumerate(times):
+            step = time - previous
+            more = self.expected(mean, step, step / exposure_time)
+            more = noise(more, dark_electrons=self._dark_electrons(step), photon=chip.photon, read=number, **common)
+            charge = np.minimum(charge + device.numpy(more), np.float32(sensor.full_well))
+            if number == 0:
+                reset = np.zeros_like(charge)
+                if chip.reset:
+                    reset = device.numpy(noise(device.array(reset), read_noise=chip.reset, photon="none", read=RESET,
+                                               **common))
+            # the kernel takes no negative electrons: what the reset leaves below 0 is part of the offset
+            sigma = np.hypot(chip.read, chip.adc / sensor.gain_dn_per_electron)
+            raw = self._read(device.array(charge), 0.0, sensor, sigma=float(sigma), photon="none", seed=seed,
+                             frame=frame, read=number, offset=reset)
+            reads.append(np.array(device.numpy(raw)))
+            previous = time
+        return np.stack(reads)
+
+    def models(self) -> dict[str, str]:
+        """Stage -> what is modelled; a part that is off has no stage and no name."""
+        sensor, chip = self.sensor, self.sensor.noise
+        found = {}
+        fixed = [name for name, on in (
+            ("PRNU", chip.prnu or chip.row_prnu or chip.column_prnu),
+            ("DSNU", chip.dsnu or chip.row_dsnu or chip.column_dsnu), ("dead pixels", chip.dead_pixels),
+            ("hot pixels", chip.hot_pixels and chip.hot_current),
+            ("traps", chip.telegraph_pixels and chip.telegraph)) if on]
+        if fixed:
+            found["sensor.pattern"] = f"{', '.join(fixed)} of chip {chip.seed}"
+        if {"PRNU", "dead pixels", "hot pixels"} & {*fixed}:
+            found["sensor.expect"] = "mean electrons through this chip's response"
+        if sensor.binning != (1, 1):
+            found["sensor.bin"] = f"{sensor.binning[0]}x{sensor.binning[1]} pixels by {sensor.binning_mode}"
+        temporal = [name for name, on in (
+            (f"photon ({chip.photon})", chip.photon != "none"), ("dark current", chip.dark_current),
+            ("read", chip.read), ("reset", chip.reset), ("converter", chip.adc), ("rows", chip.row),
+            ("columns", chip.column), ("telegraph", "traps" in fixed)) if on]
+        converter = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bit"
+        found["sensor.noise"] = f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
+        return found
+
+    def _read(self, expected, exposure_time, sensor, *, sigma, photon, seed, frame, frames=None, read=0, offset=None):
+        """Raw values of the output sensor; offset: added to that of the chip [e-]."""
+        chip, device = sensor.noise, self.device
+        rows, cols = expected.shape
+        fixed = amplitude = None
+        if chip.dsnu or chip.row_dsnu or chip.column_dsnu:
+            fixed = self._pattern("offset", rows, cols, pixel=chip.dsnu, row=chip.row_dsnu, column=chip.column_dsnu)
+        if offset is not None:
+            fixed = device.array(offset if fixed is None else offset + device.numpy(fixed))
+        if chip.telegraph_pixels and chip.telegraph:
+            amplitude = self._pattern("telegraph", rows, cols, share=chip.telegraph_pixels, scale=chip.telegraph)
+        black = sensor.black_level + sensor.gain_dn_per_electron * sensor.analog_offset
+        return noise(expected, fixed, amplitude, dark_electrons=self._dark_electrons(exposure_time), read_noise=sigma,
+                     row_noise=chip.row, column_noise=chip.column, telegraph_switching=chip.telegraph_switching,
+                     full_well=sensor.full_well, gain=sensor.gain_dn_per_electron, black_level=black,
+                     white_level=None if sensor.bits == FLOAT_BITS else sensor.white_level, photon=photon, seed=seed,
+                     frame=frame, frames=frames, read=read, device=device)
+
+    def _dark_electrons(self, exposure_time):
+        noise_ = self.output.noise
+        return noise_.dark_current * noise_.warmth * exposure_time
+
+    def _binned(self, charge):
+        return bin_pixels(charge, binning=self.sensor.binning, stride=self.stride, device=self.device)
+
+    def _pattern(self, plane, rows, cols, **parts):
+        """A fixed pattern, kept from its first use."""
+        key = plane, rows, cols
+        if key not in self._patterns:
+            self._patterns[key] = pattern(rows, cols, plane, seed=self.sensor.noise.seed, device=self.device, **parts)
+        return self._patterns[key]
+
+
+def checked_electrons(mean) -> np.ndarray:
+    """Mean electrons that can be drawn around, float32. Raises BadData for what is not finite or negative."""
+    mean = np.asarray(mean, np.float32)
+    if mean.ndim not in (2, 3) or not mean.size:
+        raise BadData(f"mean electrons: shape {mean.shape}, wanted (rows, cols) or, of stacked pixels, (C, rows, cols)")
+    wrong = ~(np.isfinite(mean) & (mean >= 0))
+    if wrong.any():
+        place = tuple(map(int, np.argwhere(wrong)[0]))
+        raise OutOfRange(f"mean electrons at {place}", f"{mean[place]:.6g} e-",
+                         f"0 <= electrons < inf ({int(wrong.sum())} of {mean.size} pixels are not)")
+    return mean
