@@ -1,0 +1,110 @@
+"""Binning: neighbours of one colour become one pixel, as charge before the converter or as numbers after it.
+
+Ports: pixels (rows, cols) float32 [e-] or uint16 [DN] -> (out_rows, out_cols) of the same type and unit.
+
+Pixels of one colour are `stride` apart, rows and columns alike: the mosaic's period, or 1 where `binning` pixels of one
+colour are adjacent (`gpusim.planner.binning`). Output row Y takes, with a = Y mod stride and B = Y div stride, the rows
+
+    B stride binning + a + stride j,   j = 0 .. binning - 1,
+
+and so do columns: the binned frame has the same mosaic, a whole number of periods of it. Rows and columns beyond the
+last whole block of stride x binning are left out. Blocks of a mosaic interlock, so the middles of binned pixels do not
+lie on an even grid: 2 x 2 in a Bayer mosaic puts them 1 and 3 pixels apart, in turn.
+
+Charges: first the rows of every column are added, from the top, then the columns' sums, from the left, each addition
+rounded to float32: the same bits on every device. (A CCD does it in this order, too.)
+Numbers: the sum, 65535 where it is more; or the mean, rounded to nearest, halves to even. Black levels add up as
+everything else: that of a sum is binning_y binning_x times as high, that of a mean stays.
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.stage import Case, stage
+
+MOST = 8  # pixels along one axis: 64 numbers of 16 bits add up below 2^24, exactly in float32
+CHUNK = 1024  # columns that a CPU's work-item holds, about: 4 KiB, so they stay in the nearest cache
+
+
+@stage
+def bin(device, pixels, *, binning, stride=(1, 1), average=False):
+    """Sums, or averages, of `binning` pixels that are `stride` apart.
+
+    pixels: shape (rows, cols): float32 charges [e-], or uint16 digital numbers [DN]. binning: rows and columns that
+    become one, 1 to 8. stride: distance of neighbours of one colour along both axes [pixel]. average: of digital
+    numbers the mean instead of the sum; charges are always added.
+    Returns shape `binned_shape(pixels.shape, binning, stride)`, the type of `pixels`. Raises BadData, OutOfRange.
+    Source: Theuwissen 1995, Solid-State Imaging with Charge-Coupled Devices (charge is added without loss).
+    """
+    digital = checked(pixels, average)
+    cols = pixels.shape[1]
+    out_shape = binned_shape(pixels.shape, binning, stride)
+    pixels = device.array(pixels, np.uint16 if digital else np.float32)
+    out = device.empty(out_shape, np.uint16 if digital else np.float32)
+    # Along a row the block is known at compile time: its columns are picked without gathers.
+    defines = {"PIXEL": "ushort" if digital else "float", "DIGITAL": int(digital), "BINNING_X": binning[1],
+               "STRIDE_X": stride[1], "BLOCKS": 0 if device.is_gpu else max(1, CHUNK // (stride[1] * binning[1]))}
+    grid = (out_shape[0], 1) if device.kind == "opencl" and not device.is_gpu else out_shape
+    device.launch("sensor.bin", "bin", grid, pixels, out, int(binning[0]), int(stride[0]), int(average), cols,
+                  *out_shape, *(() if device.kind == "opencl" else (binning[1], stride[1], int(digital))),
+                  defines=defines, group=None if device.is_gpu else (1, 1))
+    return out
+
+
+def checked(pixels, average) -> bool:
+    """Whether `pixels` are digital numbers; raises BadData for what is neither charges nor numbers."""
+    kind = getattr(pixels.dtype, "name", None) or pixels.dtype.__name__  # Warp's types are classes
+    if len(pixels.shape) != 2 or kind not in ("uint16", "float32", "float64"):
+        raise BadData(f"pixels: {kind}, shape {tuple(pixels.shape)}; wanted (rows, cols) of charges, float32, or of "
+                      "digital numbers, uint16")
+    if average and kind != "uint16":
+        raise BadData("average: charges are added; only digital numbers, uint16, can be averaged")
+    return kind == "uint16"
+
+
+def binned_shape(shape, binning, stride=(1, 1)) -> tuple[int, int]:
+    """Rows and columns of the binned frame.
+
+    shape: rows and columns of the frame. binning, stride: as for `bin`.
+    Raises OutOfRange when a factor is not 1 to 8, a stride not positive, or not even one block fits into the frame.
+    """
+    for axis, factor, step in zip(("rows", "columns"), binning, stride, strict=True):
+        if factor not in range(1, MOST + 1):
+            raise OutOfRange(f"binning ({axis})", factor, f"a whole number, 1 <= binning <= {MOST}")
+        if not (step >= 1 and step == int(step)):
+            raise OutOfRange(f"stride ({axis})", step, "a whole number, stride >= 1")
+    rows, cols = (size // (factor * step) * step for size, factor, step in zip(shape, binning, stride, strict=True))
+    if not (rows and cols):
+        raise OutOfRange("frame", f"{shape[1]}x{shape[0]} pixels",
+                         f"at least {binning[1] * stride[1]}x{binning[0] * stride[0]}, one block of binning "
+                         f"{binning[1]}x{binning[0]} in this mosaic; use a larger frame or less binning")
+    return rows, cols
+
+
+def cases():
+    """Bayer, X-Trans and cells of one colour, the largest factors, odd sizes, long rows; charges and numbers."""
+    random = np.random.default_rng(11)
+    charges = "the same float32 additions in the same order"
+    numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
+    sizes = [((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3))
+             for by, bx, sy, sx in ((1, 1, 1, 1), (2, 2, 1, 1), (3, 2, 1, 1), (2, 2, 2, 2), (3, 3, 2, 2), (3, 2, 4, 2),
+                                    (2, 2, 6, 6), (8, 8, 8, 1))]
+    sizes += [((2, 2), (2, 2), (4, 4)), ((2, 2), (2, 2), (7, 4103)), ((1, 2), (2, 1), (5, 5000))]
+    for binning, stride, (rows, cols) in sizes:
+        inputs = {"binning": binning, "stride": stride}
+        name = f"{rows}x{cols}, binning {binning}, stride {stride}"
+        values = (10.0 ** random.uniform(-6, 6, (rows, cols))).astype(np.float32)
+        yield Case(f"charges {name}", {"pixels": values, **inputs}, 0.0, charges, metric="exact")
+        values = random.integers(0, 65536, (rows, cols), np.uint16)
+        for average in (False, True):
+            yield Case(f"{'means' if average else 'sums'} {name}", {"pixels": values, **inputs, "average": average},
+                       0.0, numbers, metric="exact")
+    values = np.ones((8, 12), np.float32)
+    values[2, 3], values[5, 6], values[0, 11] = np.nan, np.inf, 1e-45
+    yield Case("NaN and infinity stay in their block", {"pixels": values, "binning": (2, 2), "stride": (2, 2)}, 0.0,
+               charges, metric="exact")
+
+
+def bench(rows, cols):
+    """Charges of a Bayer mosaic, 2 x 2."""
+    return {"pixels": np.random.default_rng(11).random((rows, cols), np.float32), "binning": (2, 2), "stride": (2, 2)}

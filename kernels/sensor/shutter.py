@@ -1,0 +1,74 @@
+"""Shutter: what every row gathers while it is open, from pictures of the rate at a few instants.
+
+Ports: rates (instants, rows, cols) float32 [e- s-1], weights (rows, instants) float32 [s]
+-> mean (rows, cols) float32 [e-]:
+
+    mean(y, x) = sum over k of  weights[y, k] rates(k, y, x).
+
+A row that is exposed after the one above it has later weights (`gpusim.planner.shutter`). Of a row only the instants
+between its first and its last weight that is not zero are read: (m + 1) 4 byte a pixel for m of them.
+"""
+
+import numpy as np
+
+from gpusim.kernels.stage import Case, stage
+
+CHUNK = 512  # pixels that a CPU's work-item sums up: 2 KiB, so the sums stay in the nearest cache
+
+
+@stage
+def shutter(device, rates, weights):
+    """Mean electrons of rows that are exposed one after the other.
+
+    rates: mean rate of every pixel at the instants, shape (instants, rows, cols) [e- s-1]. weights: shape
+    (rows, instants) [s], a small table, which is read on the host; zero where an instant does not matter to a row: what
+    lies there, were it NaN, has no effect before a row's first and after its last instant.
+    Returns shape (rows, cols) [e-]. For weights and rates that are not negative the relative error is below
+    m 2^-24 for m instants (m products and m - 1 sums round, the first to a sum of zero does not: Higham 2002, 3.1),
+    and 2^-24 more when the weights are rounded to float32 here.
+    """
+    instants, rows, cols = rates.shape
+    weights = np.ascontiguousarray(device.numpy(weights), np.float32)
+    chunk = 1 if device.is_gpu else CHUNK
+    mean = device.empty((rows, cols))
+    device.launch("sensor.shutter", "shutter", (rows, -(-cols // chunk) if device.kind == "opencl" else cols),
+                  device.array(rates), device.array(weights), device.array(spans(weights), np.int32), mean,
+                  instants, rows, cols, defines={"CHUNK": chunk}, group=None if device.is_gpu else (1, 1))
+    return mean
+
+
+def spans(weights) -> np.ndarray:
+    """First instant whose weight is not zero, and the one after the last, int32 (rows, 2); 0, 0 for a row of zeros."""
+    used = np.asarray(weights) != 0
+    last = used.shape[1] - used[:, ::-1].argmax(axis=1)
+    return np.stack([used.argmax(axis=1), np.where(used.any(axis=1), last, 0)], axis=1).astype(np.int32)
+
+
+def cases():
+    """One instant, all instants, a window that moves down the rows, rows of zeros, NaN where nothing is read."""
+    random = np.random.default_rng(7)
+    for instants, used, rows, cols in ((1, 1, 1, 1), (5, 5, 3, 5), (9, 3, 63, 65), (40, 12, 30, 1030), (70, 64, 5, 9)):
+        rates = (10.0 ** random.uniform(-3, 6, (instants, rows, cols))).astype(np.float32)
+        weights = _moving_window(random, instants, used, rows)
+        for y, (first, end) in enumerate(spans(weights)):
+            rates[:first, y] = rates[end:, y] = np.nan
+        yield Case(f"{rows}x{cols}, {used} of {instants} instants", {"rates": rates, "weights": weights},
+                   used * 2.0**-24, metric="local",
+                   why=f"{used} products and {used - 1} sums of positive float32 numbers round, each by half an ulp")
+    yield Case("a row that gathers nothing", {"rates": np.full((3, 2, 4), 7, np.float32),
+                                              "weights": np.array([[0, 0, 0], [0, 0.5, 0]], np.float32)}, 0.0,
+               "7 x 0.5 is exact", metric="exact")
+
+
+def _moving_window(random, instants, used, rows):
+    """Weights of which `used` are not zero in any row, from the first instants in the first row to the last ones."""
+    first = np.arange(rows) * (instants - used) // max(rows - 1, 1)
+    k = np.arange(instants)
+    inside = (k >= first[:, None]) & (k < first[:, None] + used)
+    return np.where(inside, random.uniform(1e-4, 1e-3, (rows, instants)), 0).astype(np.float32)
+
+
+def bench(rows, cols):
+    """16 instants of which every row needs 5: read out in 20 ms, exposed for 6, pictures 2 ms apart."""
+    random = np.random.default_rng(7)
+    return {"rates": random.random((16, rows, cols), np.float32), "weights": _moving_window(random, 16, 5, rows)}
