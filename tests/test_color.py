@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gpusim.data.colorimetry import cmf
+from gpusim.data.curves import curve
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.display import DISPLAYS
@@ -139,6 +140,33 @@ def test_real_camera_keeps_surface_colors_in_tungsten_light(nikon):
     white = responses(nikon, A, Spectrum([400, 700], [[1, 1]]), [400, 700])[:, 0]
     assert (wrong.matrix @ white)[2] < 0.5  # a third of D65's blue is left, relative to red
     assert in_tungsten.mean() < 4.0
+
+
+def noise_of_white(transform):
+    """Standard deviation of each display primary per that of a white's strongest channel, shot noise alone."""
+    return np.sqrt(transform.matrix**2 @ transform.white)
+
+
+@pytest.mark.parametrize("light", [D65, A], ids=["D65", "A"])
+def test_a_clear_channel_helps_color_without_its_noise(light, monkeypatch):
+    """Measured red, green, blue and clear curves behind an infrared cut, against the first three alone.
+
+    Without noise the fourth channel can only help: no surface is reproduced worse on average. Least squares alone buys
+    that with differences of nearly dependent channels. Judged at the same exposure, the clear channel at its full well,
+    noise of red, green and blue alone is 1 / sqrt(their white) larger. The fourth channel may cost a third more than
+    that in the worst primary, as its error does not vanish either; it was six times without the noise term.
+    """
+    curves, cut = curve("mt9v024"), curve("ir-cut-phone")
+    rgbw = Spectrum(curves.wavelengths, curves.values * cut.values, "MT9V024")
+    rgb = Spectrum(curves.wavelengths, rgbw.values[:3], "MT9V024, three of four")
+    four, three = (color_matrix(camera, light, reflectances("objects")) for camera in (rgbw, rgb))
+    errors = [checker_differences(camera, light, reflectances("objects")).mean() for camera in (rgbw, rgb)]
+    assert errors[0] <= errors[1] + 1e-9
+    np.testing.assert_allclose(four.matrix @ four.white, 1, atol=1e-13)  # white is met exactly: rounding of the sums
+    same_exposure = noise_of_white(three).max() / np.sqrt(four.white[:3].max())
+    assert noise_of_white(four).max() < 4 / 3 * same_exposure
+    monkeypatch.setattr("gpusim.planner.color.WHITE_ELECTRONS", 1e30)
+    assert noise_of_white(color_matrix(rgbw, light, reflectances("objects"))).max() > 2 * same_exposure
 
 
 def test_bad_training_is_refused_in_one_line():

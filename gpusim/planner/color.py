@@ -14,6 +14,11 @@ from gpusim.planner.weights import product_weights
 # XYZ to the cone-like primaries of CIECAM97s, in which the white is adapted (Lam 1985; Lindbloom's digits).
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
+# Of white in the strongest channel, weighed against colour errors where more than three channels leave a choice. At
+# 1e5 electrons shot noise is a third of the colour error of a good camera: it bars the matrices that gain a fraction of
+# that error as a small difference of large responses (clear against red + green + blue: 5 times the noise).
+WHITE_ELECTRONS = 1e5
+
 
 @dataclass(frozen=True, eq=False)
 class ColorTransform:
@@ -38,7 +43,9 @@ def color_matrix(qe: Spectrum, light: Spectrum, reflectances: Spectrum, *, targe
     light, target_light: photon radiance, any scale, shape (L,); target_light None: CIE D65.
     reflectances: the training surfaces [1], shape (N, L). Their wavelengths bound the integrals.
     The XYZ of the surfaces are met with the least squared error among the matrices that map perfect white exactly to
-    the target's white, which is then adapted to the display's (Bradford).
+    the target's white, which is then adapted to the display's (Bradford). Of more than three channels, some are nearly
+    a mixture of others (a clear pixel of red, green and blue), and the least squares alone would amplify noise many
+    times; there the expected error of white's shot noise (WHITE_ELECTRONS) counts as well.
     Raises BadData when wavelengths do not overlap or the surfaces do not determine the matrix.
     Source: Farrell & Wandell, section 6.2, L = (H' diag(d1) S) [C' diag(d2) S]^-1; the constraint: Finlayson & Drew
     1997, Color Research and Application 22, 2-15.
@@ -68,7 +75,14 @@ def color_matrix(qe: Spectrum, light: Spectrum, reflectances: Spectrum, *, targe
 
 
 def _fit(camera, xyz, camera_white, xyz_white):
-    """Return the (3, C) matrix that takes `camera` (C, N) nearest to `xyz` (3, N), and white exactly to white."""
+    """Return the (3, C) matrix that takes `camera` (C, N) nearest to `xyz` (3, N), and white exactly to white.
+
+    Shot noise of variance white / WHITE_ELECTRONS adds tr(M diag(variance) M') to the expected square of each of the N
+    errors; as C more columns of `camera` that should come out as 0, it is part of the same least squares.
+    """
+    if len(camera_white) > 3:
+        noise = np.diag(np.sqrt(camera.shape[1] * camera_white / WHITE_ELECTRONS))
+        camera, xyz = np.hstack([camera, noise]), np.hstack([xyz, np.zeros((len(xyz), len(noise)))])
     fixed = np.outer(xyz_white, camera_white) / (camera_white @ camera_white)
     free = np.linalg.qr(camera_white[:, None], mode="complete")[0][:, 1:]  # directions that white has no part in
     return fixed + np.linalg.lstsq((free.T @ camera).T, (xyz - fixed @ camera).T, rcond=None)[0].T @ free.T
