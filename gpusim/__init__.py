@@ -18,6 +18,7 @@ _PUBLIC = {
     "GpusimError": "gpusim.domain.errors", "Layer": "gpusim.domain.scene", "autofocus": "gpusim.focus",
     "Simulator": "gpusim.scheduler", "Frame": "gpusim.scheduler", "open_device": "gpusim.backends",
     "open_camera": "gpusim.data.cameras", "camera_names": "gpusim.data.cameras",
+    "sensor_from_emva1288": "gpusim.data.emva1288",
     "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights", "open_scene": "gpusim.io.scenes",
 }
 __all__ = sorted(_PUBLIC)

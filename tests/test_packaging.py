@@ -16,6 +16,7 @@ ALLOWED = {
     "gpusim.io": {"gpusim.domain", "gpusim.data"},
     "gpusim.backends": {"gpusim.domain", "gpusim.kernels"},  # by path alone: it loads kernels by file name
     "gpusim.kernels": {"gpusim.domain", "gpusim.backends"},
+    "gpusim.measure": {"gpusim.domain"},
     "gpusim.planner": {"gpusim.domain", "gpusim.data"},
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
