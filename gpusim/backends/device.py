@@ -22,6 +22,7 @@ class Device:
     on_host = True
     array_type: type = type(None)  # no foreign arrays: everything is NumPy
     is_gpu = False
+    has_fp64 = True
     group_limit = 1024  # work-items of a group at most
 
     def __init__(self):

@@ -55,6 +55,7 @@ class OpenCLDevice(Device):
         self.cl_device = cl_device
         self.group_limit = cl_device.max_work_group_size
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
+        self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.context = cl.Context([cl_device])
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)

@@ -49,6 +49,7 @@ class WarpDevice(Device):
         self.array_type = wp.array
         self._events: list = []
         self._natives: dict = {}  # kernels from OpenCL text
+        self._loaded: set = set()  # specialised kernels that are built
         self.build_ms: dict[str, float] = {}
 
     @property
@@ -75,8 +76,10 @@ class WarpDevice(Device):
         if self._times is not None and self.is_gpu:
             first = self._wp.Event(self.wp_device, enable_timing=True)
             last = self._wp.Event(self.wp_device, enable_timing=True)
+            # arguments are packed before the clock starts: the device would wait for Python in between
+            command = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
             self._wp.record_event(first)
-            self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
+            command.launch()
             self._wp.record_event(last)
             self._events.append((self._charged or stage, first, last))
             return
@@ -93,7 +96,13 @@ class WarpDevice(Device):
             return self._native(stage, kernel, defines, args, options)
         if stage not in self.build_ms:
             self._build(stage, loaded)
-        return getattr(loaded, kernel)
+        if not hasattr(loaded, "specialised"):
+            return getattr(loaded, kernel)
+        entry = loaded.specialised(kernel, **defines)
+        if entry not in self._loaded:  # a kernel with a module of its own
+            self._build(stage, entry.module, **options)
+            self._loaded.add(entry)
+        return entry
 
     def _native(self, stage, kernel, defines, args, options):
         ranks = tuple(arg.ndim if isinstance(arg, self._wp.array) else None for arg in args)

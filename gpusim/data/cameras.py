@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
+from gpusim.data.mosaics import mosaic
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName
+from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Pupil, Wavefront
@@ -78,9 +81,11 @@ def _of(kind, wanted):
     return read
 
 
-def _texts(value):
+def _mosaic(value):
+    if type(value) is str:
+        return mosaic(value)
     if type(value) is not list or not all(type(item) is str for item in value):
-        raise _Wanted('a list of texts, such as ["RG", "GB"]')
+        raise _Wanted('rows of letters, such as ["RG", "GB"], or a mosaic\'s name, such as "x-trans"')
     return tuple(value)
 
 
@@ -140,6 +145,35 @@ def _microlens(value):
                      _number()(value.get("shift", 0.0)))
 
 
+def _map(value):
+    if type(value) is not list or not value or any(type(row) is not list or len(row) != len(value[0]) for row in value):
+        raise _Wanted("a list of equally long lists of numbers")
+    return np.array([_numbers()(row) for row in value])
+
+
+def _wholes(value):
+    if type(value) is not list or len(value) != 2 or any(type(item) is not int for item in value):
+        raise _Wanted("a list of 2 whole numbers")
+    return tuple(value)
+
+
+def _auto_exposure(value):
+    known = {"method": ("method", _text), "level": ("level", _number()), "percentile": ("percentile", _number()),
+             "longest_ms": ("longest", _number(_MILLI)), "most_gain": ("most_gain", _number())}
+    if type(value) is not dict or not value.keys() <= known.keys():
+        raise _Wanted(f"a table of {', '.join(known)}")
+    return AutoExposure(**{known[key][0]: known[key][1](item) for key, item in value.items()})
+
+
+def _number_or_ktc(value):
+    if value == "kTC":
+        return value  # made a number when conversion gain and temperature are known
+    try:
+        return _number()(value)
+    except _Wanted:
+        raise _Wanted('a number or "kTC"') from None
+
+
 def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
@@ -177,25 +211,48 @@ _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(_MICRO)),
     "fill_factor": ("fill_factor", _number()),
     "microlens": ("microlens", _microlens),
-    "cfa": ("cfa", _texts),
+    "cfa": ("cfa", _mosaic),
+    "stacked": ("stacked", _yes_no),
+    "photodetector_size": ("photodetector", _numbers(2)),
+    "photodetector_centre": ("centre", _numbers(2)),
+    "offset": ("offset", _numbers(2)),
+    "vignetting": ("vignetting", _map),
     "qe": ("qe", _curve),
-    "photodetector": ("photodetector", _curve),
+    "photodetector": ("photodetector_curve", _curve),
     "ir_cut": ("ir_cut", _curve),
+    "qe_ends": ("qe_ends", _text),
     "exposure_time_ms": ("exposure_time", _number_or_auto(_MILLI)),
+    "auto_exposure": ("auto_exposure", _auto_exposure),
+    "row_time_us": ("row_time", _number(_MICRO)),
+    "binning": ("binning", _wholes),
+    "binning_mode": ("binning_mode", _text),
     "full_well_e": ("full_well", _number()),
     "bits": ("bits", _whole),
     "black_level_dn": ("black_level", _whole),
     "gain_dn_per_e": ("gain", _number_or_auto()),
-    "read_noise_e": ("read_noise", _number()),
+    "conversion_gain_uv_per_e": ("conversion_gain", _number(_MICRO)),
+    "adc_range_v": ("adc_range", _number()),
+    "analog_gain": ("analog_gain", _number()),
+    "analog_offset_e": ("analog_offset", _number()),
+}
+_NOISE = {
+    "photon": ("photon", _text),
     "dark_current_e_per_s": ("dark_current", _number()),
-    "prnu": ("prnu", _number()),
-    "dsnu_e": ("dsnu", _number()),
-    "photon_noise": ("photon_noise", _yes_no),
-    "fixed_pattern_seed": ("fixed_pattern_seed", _whole),
+    "temperature_c": ("temperature", _number()),
+    "reference_temperature_c": ("reference_temperature", _number()),
+    "doubling_k": ("doubling", _number()),
+    **{f"{key}_e": (key, _number()) for key in ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu",
+                                               "telegraph")},
+    "reset_e": ("reset", _number_or_ktc),
+    "adc_dn": ("adc", _number()),
+    **{key: (key, _number()) for key in ("prnu", "row_prnu", "column_prnu", "hot_pixels", "dead_pixels",
+                                        "telegraph_pixels", "telegraph_switching")},
+    "hot_current_e_per_s": ("hot_current", _number()),
+    "seed": ("seed", _whole),
 }
 _PROCESSOR = {key: (key, _text) for key in ("demosaic", "white_balance", "color", "training")}
 _DISPLAY = {"name": ("name", _text)}
-_SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "processor": _PROCESSOR, "display": _DISPLAY}
+_SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
 
 
 def _read(path):
@@ -225,12 +282,22 @@ def _camera(path, table):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
     optics = _lens(path, optics)
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
+    sensor["noise"] = _noise(path, _fields(path, table, "noise"), sensor)
     display = _fields(path, table, "display").get("name", "srgb")
     if display not in DISPLAYS:
         raise UnknownName("display.name", display, DISPLAYS)
     processor = Processor(**_fields(path, table, "processor"))
     reflectances(processor.training)  # raises here, where the file can be named, rather than in the first frame
     return Camera(name, optics, Sensor(**sensor), processor, DISPLAYS[display])
+
+
+def _noise(path, fields, sensor):
+    """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
+    if fields.get("reset") == "kTC":
+        if "conversion_gain" not in sensor:
+            raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
+        fields["reset"] = reset_noise(sensor["conversion_gain"], fields.get("temperature", Noise.temperature))
+    return Noise(**fields)
 
 
 def _lens(path, fields):
@@ -261,12 +328,14 @@ def _fields(path, table, section, cls=None):
     fields = {}
     for key, value in given.items():
         if key not in known:
-            raise BadFile(path, f"unknown key {key!r} in [{section}]{_near(key, known)}")
+            raise BadFile(path, f"unknown key {key!r} in [{section}]{_near_key(key, section)}")
         field, read = known[key]
         try:
             fields[field] = read(value)
         except _Wanted as wanted:
             raise BadFile(path, f"[{section}] {key} = {value!r}: wanted {wanted}") from None
+        except UnknownName as error:
+            raise BadFile(path, f"[{section}] {key}: {error}") from None
     required = {field.name for field in dataclasses.fields(cls)
                 if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
     missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
@@ -278,6 +347,16 @@ def _fields(path, table, section, cls=None):
 def _near(name, known):
     near = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+
+
+def _near_key(key, section):
+    """Hint at the nearest key of any section: noise has one of its own, apart from the sensor's."""
+    sections = {other: name for name, keys in _SECTIONS.items() for other in keys} | dict.fromkeys(
+        _SECTIONS[section], section)
+    near = difflib.get_close_matches(key, sections, n=1) or [name for name in sections if key.endswith(f"_{name}")]
+    if not near or sections[near[0]] == section:
+        return _near(key, _SECTIONS[section])
+    return f"; did you mean {near[0]!r} in [{sections[near[0]]}]?"
 
 
 def _efficiency(path, sensor):
@@ -293,9 +372,16 @@ def _efficiency(path, sensor):
     channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
     rows = [letters.index(letter) for letter in channels]
     product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
-    for key in ("photodetector", "ir_cut"):
-        if key in sensor:
-            product = _product(path, product, _single(path, f"[sensor] {key}", sensor.pop(key)))
+    for key, field in (("photodetector", "photodetector_curve"), ("ir_cut", "ir_cut")):
+        if field in sensor:
+            product = _product(path, product, _single(path, f"[sensor] {key}", sensor.pop(field)))
+    ends = sensor.pop("qe_ends", None)
+    if ends == "zero":
+        low, high = product.wavelengths[0], product.wavelengths[-1]
+        nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
+        product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
+    elif ends is not None:
+        raise BadFile(path, f'[sensor] qe_ends = {ends!r}: wanted "zero": no light is counted outside the table')
     return product, channels
 
 

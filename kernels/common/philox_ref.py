@@ -32,5 +32,10 @@ def seed_words(seed: int) -> tuple[int, int]:
     return seed & 0xFFFFFFFF, seed >> 32
 
 
+def chance_word(chance: float, bits: int = 32) -> int:
+    """The largest of those `bits` bits that a random word is at most with this chance, in steps of 2^-bits."""
+    return max(round(chance * 2**bits), 1) - 1
+
+
 def _high(product):
     return (product >> np.uint64(32)).astype(np.uint32)

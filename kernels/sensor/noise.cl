@@ -1,129 +1,126 @@
 // From mean electrons to digital numbers, WIDTH pixels per work-item. noise_ref.py has the formulas.
-// From the host: WIDTH, and as 0 or 1 PHOTON_NOISE, READ_NOISE, PRNU, DSNU.
+// From the host: WIDTH, PHOTON (0 none, 1 fast, 2 exact), and as 0 or 1 READ_NOISE, OFFSET,
+// TELEGRAPH, LINES, CONVERTER.
+#if PHOTON == 2
+#define DOUBLE
+#endif
 #include "philox.clh"
-#include "exact.clh"
+#include "poisson.clh"
 
-#define SEARCH_BELOW 12.0f  // mean [e-]
-#define MOST_BY_SEARCH 40
+#if CONVERTER
+#define OUT ushort
+#else
+#define OUT float
+#endif
 #define MOST_EXPECTED 1e30f
 #define TEMPORAL 0u
-#define FIXED 1u
+#define TELEGRAPH_STREAM 4u
+#define ROW_STREAM 5u
+#define COLUMN_STREAM 6u
 
-// Number of photons by walking up the distribution until the tail is below u; for means below SEARCH_BELOW.
-INLINE real poisson_by_search(const real mean, const real u)
+#if TELEGRAPH
+// 1 in one state of a pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew. Four frames
+// share a call of Philox: the longest chain of calls is what a GPU waits for.
+INLINE real trap_state(const word pixel, const integer traps, const uint frame, const uint switching,
+                       const uint seed_low, const uint seed_high)
 {
-    const Exponential start = exact_exp_negative(mean);
-    real p = start.value, above = start.complement, count = 0.0f;
-    integer going = -1;  // true in a vector; the comparisons make it 1 in a scalar
-    for (int j = 1; j <= MOST_BY_SEARCH; ++j) {
-        p = p * (mean * (1.0f / j));
-        going = going & (u < above) & (u * ((j + 1) - mean) < p * (j + 1));
-        if (!ANY(going)) break;
-        count += going ? (real)1.0f : (real)0.0f;
-        above -= p;
+    real state = 0.0f;
+    integer open = traps;
+    for (uint four = frame >> 2;; --four) {
+        const Words words = philox(pixel, 0u, four, TELEGRAPH_STREAM, seed_low, seed_high);
+        const word each[4] = {words.a, words.b, words.c, words.d};
+#pragma unroll
+        for (int i = 3; i >= 0; --i) {
+            const uint at = 4u * four + i;
+            if (at > frame) continue;
+            const integer drawn = at == 0u ? open : open & ((each[i] >> 1) <= switching);
+            state = drawn ? ((each[i] & 1u) != 0u ? (real)1.0f : (real)0.0f) : state;
+            open = open & ~drawn;
+        }
+        if (!ANY(open)) return state;
     }
-    return count;
 }
-
-// Number of photons from a normal number, third-order Cornish-Fisher; for the other means.
-INLINE real poisson_by_expansion(const real mean, const real z)
-{
-    const real root = sqrt(mean), whole = floor(mean), square = z * z;
-    const real second = square * (1.0f / 6) + (1.0f / 3);
-    const real third = z * (square * (-1.0f / 72) + (-1.0f / 36));
-    const real fourth = square * (square * (1.0f / 270) + (7.0f / 810)) + (-8.0f / 405);
-    const real shift = root * z + (second + (third + fourth / root) / root);
-    const real count = whole + floor((mean - whole) + shift);
-    return count < 0.0f ? (real)0.0f : count;
-}
-
-INLINE real poisson(const real mean, const Words words, const real z)
-{
-    const integer few = mean < SEARCH_BELOW;
-    real count = poisson_by_expansion(mean, z);
-    if (ANY(few)) {
-        const real searched = poisson_by_search(few ? mean : (real)0.0f, exact_uniform(words.c, words.d));
-        count = few ? searched : count;
-    }
-    return count;
-}
-
-// Lanes beyond the last pixel are computed from 0 and not stored.
-INLINE real load(__global const float *restrict from, const int lanes)
-{
-    real values = 0.0f;
-    for (int lane = 0; lane < lanes; ++lane) ((float *)&values)[lane] = from[lane];
-    return values;
-}
-
-// Electrons at the analog-digital converter.
-INLINE real noisy_electrons(
-    real expected, const int start, const float dark_electrons, const float read_noise, const float prnu,
-    const float dsnu, const float full_well, const int seed_low, const int seed_high, const int sensor_low,
-    const int sensor_high, const int frame)
-{
-    const word pixel = (uint)start + FIRST_LANES;
-#if PRNU || DSNU
-    const Words pattern = philox(pixel, 0u, 0u, FIXED, sensor_low, sensor_high);
-    const Normals fixed = exact_normal_pair(pattern.a, pattern.b);
 #endif
-#if PHOTON_NOISE || READ_NOISE
-    const Words words = philox(pixel, 0u, frame, TEMPORAL, seed_low, seed_high);
+
+__kernel void noise(
+    // in:
+    __global const float *restrict expected,   // [rows][cols]
+    __global const float *restrict offset,     // [rows][cols], if OFFSET
+    __global const float *restrict amplitude,  // [rows][cols], if TELEGRAPH
+    __global const float *restrict lines,      // [frames][rows + cols], if LINES
+    // out:
+    __global OUT *restrict out,                // [frames][rows][cols]
+    // sizes and numbers:
+    const int rows, const int cols, const int first_pixel, const int frame_cols, const float dark_electrons,
+    const float read_noise, const int switching, const float full_well, const float gain, const float black_level,
+    const float white_level, const int seed_low, const int seed_high, const int first_frame,
+    const int read)
+{
+    const int x = get_global_id(0) * WIDTH, y = get_global_id(1), number = get_global_id(2);
+    const int lanes = min(WIDTH, cols - x), start = y * cols + x;
+    if (lanes <= 0 || y >= rows) return;
+    const uint frame = (uint)first_frame + number;
+    const word pixel = (uint)first_pixel + (uint)y * (uint)frame_cols + (uint)x + FIRST_LANES;
+#if PHOTON == 1 || READ_NOISE || PHOTON == 2
+    const Words words = philox(pixel, read, frame, TEMPORAL, seed_low, seed_high);
+#endif
+#if PHOTON == 1 || READ_NOISE
     const Normals z = exact_normal_pair(words.a, words.b);
 #endif
-    expected = expected > MOST_EXPECTED ? (real)MOST_EXPECTED : expected;
-#if PRNU
-    expected = expected * (1.0f + prnu * fixed.first);
-#endif
-    expected = (expected < 0.0f ? (real)0.0f : expected) + dark_electrons;
-#if PHOTON_NOISE
-    real electrons = poisson(expected, words, z.first);
-#else
-    real electrons = expected;
+    real electrons = load(expected + start, lanes);
+    electrons = electrons > MOST_EXPECTED ? (real)MOST_EXPECTED : electrons;
+    electrons = (electrons < 0.0f ? (real)0.0f : electrons) + dark_electrons;
+#if PHOTON == 1
+    electrons = poisson(electrons, words.c, words.d, z.first);
+#elif PHOTON == 2
+    electrons = poisson_exact(electrons, words.c, words.d);
 #endif
     electrons = electrons > full_well ? (real)full_well : electrons;
 #if READ_NOISE
     electrons = electrons + read_noise * z.second;
 #endif
-#if DSNU
-    electrons = electrons + dsnu * fixed.second;
+#if OFFSET
+    electrons = electrons + load(offset + start, lanes);
 #endif
-    return electrons;
-}
-
-__kernel void electrons(
-    // in:
-    __global const float *restrict mean,  // [pixels]
-    // out:
-    __global float *restrict out,         // [pixels]
-    // sizes and numbers:
-    const int pixels, const float dark_electrons, const float read_noise, const float prnu, const float dsnu,
-    const float full_well, const int seed_low, const int seed_high, const int sensor_low, const int sensor_high,
-    const int frame)
-{
-    const int start = get_global_id(0) * WIDTH, lanes = min(WIDTH, pixels - start);
-    if (lanes <= 0) return;
-    const real result = noisy_electrons(load(mean + start, lanes), start, dark_electrons, read_noise, prnu, dsnu,
-                                        full_well, seed_low, seed_high, sensor_low, sensor_high, frame);
-    for (int lane = 0; lane < lanes; ++lane) out[start + lane] = ((float *)&result)[lane];
-}
-
-__kernel void digital_numbers(
-    // in:
-    __global const float *restrict mean,  // [pixels]
-    // out:
-    __global ushort *restrict out,        // [pixels]
-    // sizes and numbers:
-    const int pixels, const float dark_electrons, const float read_noise, const float prnu, const float dsnu,
-    const float full_well, const int seed_low, const int seed_high, const int sensor_low, const int sensor_high,
-    const int frame, const float gain, const float black_level, const float white_level)
-{
-    const int start = get_global_id(0) * WIDTH, lanes = min(WIDTH, pixels - start);
-    if (lanes <= 0) return;
-    const real result = noisy_electrons(load(mean + start, lanes), start, dark_electrons, read_noise, prnu, dsnu,
-                                        full_well, seed_low, seed_high, sensor_low, sensor_high, frame);
-    real level = gain * result + black_level;
+#if TELEGRAPH
+    const real trap = load(amplitude + start, lanes);
+    const integer traps = trap > 0.0f;
+    if (ANY(traps)) electrons = electrons + trap * trap_state(pixel, traps, frame, switching, seed_low, seed_high);
+#endif
+#if LINES
+    const int line = number * (rows + cols);
+    electrons = electrons + lines[line + y];
+    electrons = electrons + load(lines + line + rows + x, lanes);
+#endif
+    real level = gain * electrons + black_level;
+#if CONVERTER
     level = level > 0.0f ? level : (real)0.0f;  // NaN too
     level = rint(level < white_level ? level : (real)white_level);
-    for (int lane = 0; lane < lanes; ++lane) out[start + lane] = (ushort)((float *)&level)[lane];
+#endif
+    __global OUT *restrict to = out + ((size_t)number * rows + y) * cols + x;
+#if CONVERTER
+    STORE(ushort, level, to, lanes)
+#else
+    STORE(float, level, to, lanes)
+#endif
+}
+
+// What every row and every column of a frame have in common: rows first.
+__kernel void lines(
+    // out:
+    __global float *restrict out,  // [frames][rows + cols]
+    // sizes and numbers:
+    const int frames, const int rows, const int cols, const int first_row, const int first_col, const float row_noise,
+    const float column_noise, const int seed_low, const int seed_high, const int first_frame, const int read)
+{
+    const int row_items = (rows + WIDTH - 1) / WIDTH, item = get_global_id(0), number = get_global_id(1);
+    const bool down = item < row_items;
+    const int start = (down ? item : item - row_items) * WIDTH, lanes = min(WIDTH, (down ? rows : cols) - start);
+    if (lanes <= 0 || number >= frames) return;
+    const word line = (uint)((down ? first_row : first_col) + start) + FIRST_LANES;
+    const Words words = philox(line, read, (uint)first_frame + number, down ? ROW_STREAM : COLUMN_STREAM, seed_low,
+                               seed_high);
+    const real result = (down ? row_noise : column_noise) * exact_normal_pair(words.a, words.b).first;
+    __global float *restrict to = out + number * (rows + cols) + (down ? 0 : rows) + start;
+    STORE(float, result, to, lanes)
 }

@@ -1,15 +1,19 @@
-"""Sensor noise and digitisation: from mean electrons to digital numbers, the same bits on every device.
+"""Temporal noise and digitisation: from a chip's mean electrons to digital numbers, the same bits on every device.
 
-Ports: mean (rows, cols) float32 [e-] -> digital numbers (rows, cols) uint16 [DN], or electrons float32 [e-].
+Ports: expected (rows, cols) float32 [e-]; offset, amplitude of the same shape, or none (see `sensor.pattern`)
+-> digital numbers (rows, cols) or (frames, rows, cols) uint16 [DN]; without a converter float32 [DN], or float32 [e-].
 
-In this order, z standard normal numbers:
-    expected = max(mean (1 + prnu z1), 0) + dark_electrons    PRNU does not touch the dark current
-    k        ~ Poisson(expected)                              or `expected` itself without photon noise
-    e        = min(k, full_well) + read_noise z + dsnu z2     the well saturates before the noise of reading it
-    DN       = rint(min(max(gain e + black_level, 0), white_level))
-z1 and z2 depend on (sensor_seed, pixel) alone, k and z on (seed, frame, pixel). A magnitude of 0 costs nothing.
+In this order, z standard normal numbers, s the state of a pixel's trap, 0 or 1:
+    m  = max(expected, 0) + dark_electrons
+    k  ~ Poisson(m)                          or m itself without photon noise
+    e  = min(k, full_well)                   the well saturates before the noise of reading it
+    e' = e + read_noise z + offset + amplitude s + row_noise z(row) + column_noise z(column)
+    DN = rint(min(max(gain e' + black_level, 0), white_level))
+All of it depends on (seed, frame, place in the whole frame) alone, and not on the tile, the batch of frames, the
+work-group or the device. What is 0 or absent costs nothing.
 
-k is within 1e-4 of Poisson in total variation at every mean up to 1.6e7 e-.
+k is within 1e-4 of Poisson in total variation at every mean up to 1.6e7 e- (photon "fast"), or within 1e-6 ("exact",
+in float64).
 
 Hard cases: mean 0 -> no photons; mean < 0 -> as 0; +inf -> full well; NaN -> NaN electrons, DN 0, neighbours unchanged.
 Counts above 2^24 are rounded to float32, whose spacing is then 2 e- or more (the standard deviation is 4096 e-).
@@ -17,52 +21,89 @@ Counts above 2^24 are rounded to float32, whose spacing is then 2 e- or more (th
 
 import numpy as np
 
-from gpusim.domain.errors import OutOfRange
-from gpusim.kernels.common.philox_ref import seed_words
+from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
+from gpusim.kernels.common.philox_ref import chance_word, seed_words
 from gpusim.kernels.stage import Case, stage
+
+PHOTONS = ("none", "fast", "exact")
 
 
 @stage
-def noise(device, mean, *, dark_electrons=0.0, read_noise=0.0, prnu=0.0, dsnu=0.0, full_well, gain, black_level=0.0,
-          white_level, photon_noise=True, seed=0, sensor_seed=0, frame=0, electrons=False):
-    """One frame's digital numbers.
+def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
+          column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
+          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0,
+          electrons=False):
+    """Digital numbers of one frame, or of several.
 
-    mean: photo-electrons, shape (rows, cols) [e-]. dark_electrons: mean dark charge of the exposure [e-].
-    read_noise, dsnu: standard deviations, per frame and fixed [e-]. prnu: relative standard deviation of the gain.
-    full_well [e-]. gain [DN/e-]. black_level, white_level [DN], the latter at most 65535.
-    seed, sensor_seed: 0 to 2^64 - 1. frame: 0 to 2^32 - 1. electrons: return the electrons before the converter.
-    Returns shape (rows, cols): uint16 [DN], or float32 [e-] with `electrons`.
-    Raises OutOfRange. Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
+    expected: mean electrons of this chip, shape (rows, cols) [e-]. offset: of every pixel [e-]. amplitude: of its
+    telegraph noise [e-], 0 where it has none. dark_electrons: mean dark charge of the exposure [e-]. read_noise,
+    row_noise, column_noise: standard deviations [e-]. telegraph_switching: chance that a trap's state is drawn anew
+    from one frame to the next [1]. full_well [e-]. gain [DN/e-]. black_level, white_level [DN], the latter at most
+    65535, None: no converter. photon: "none", "fast" or "exact". seed: 0 to 2^64 - 1. frame: 0 to 2^32 - 1; frames:
+    how many from there on, None: that one alone. first: row and column of the tile in a frame that is frame_cols wide
+    (by default the tile is a whole frame). read: which of several reads of a frame, 0 to 2^31 - 1: each has its own
+    random numbers, but the traps' state is the frame's. electrons: return electrons before the converter.
+    Returns shape (rows, cols), or (frames, rows, cols): uint16 [DN], or float32 without a converter or as electrons.
+    Raises BadData, OutOfRange, UnknownName, DeviceError (exact on a device without float64).
+    Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
     """
-    rows, cols = mean.shape
-    _check(full_well, gain, white_level, seed, sensor_seed, frame, dark_electrons=dark_electrons,
-           read_noise=read_noise, prnu=prnu, dsnu=dsnu, black_level=black_level)
-    mean = device.reshape(device.array(mean), (rows * cols,))
-    out = device.empty((rows * cols,), np.float32 if electrons else np.uint16)
-    numbers = [float(number) for number in (dark_electrons, read_noise, prnu, dsnu, full_well)]
-    words = [_signed(word) for word in (*seed_words(seed), *seed_words(sensor_seed), frame)]
-    converter = () if electrons else (float(gain), float(black_level), float(white_level))
+    rows, cols = expected.shape
+    _check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
+           dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    for name, plane in (("offset", offset), ("amplitude", amplitude)):
+        if plane is not None and tuple(plane.shape) != (rows, cols):
+            raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}")
+    if frame_cols is None:
+        frame_cols = first[1] + cols
+    if not (min(first) >= 0 and first[1] + cols <= frame_cols):
+        raise OutOfRange("first, frame_cols", f"{first}, {frame_cols}", f"a tile of {cols} columns inside its frame")
+    if photon == "exact" and not device.has_fp64:
+        raise DeviceError(f'{device.name}: photon = "exact" needs float64, which this device lacks; use "fast"')
+    expected = device.array(expected)
+    offset, amplitude = (None if plane is None else device.array(plane) for plane in (offset, amplitude))
+    count = 1 if frames is None else frames
+    converter = not electrons and white_level is not None
+    out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
+    scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    defines = {"WIDTH": width, "PHOTON_NOISE": int(photon_noise), "READ_NOISE": int(read_noise > 0),
-               "PRNU": int(prnu > 0), "DSNU": int(dsnu > 0)}
-    device.launch("sensor.noise", "electrons" if electrons else "digital_numbers", (-(-rows * cols // width),),
-                  mean, out, rows * cols, *(() if device.kind == "opencl" else (int(photon_noise),)),
-                  *numbers, *words, *converter, defines=defines)
-    return device.reshape(out, (rows, cols))
+    key = [_signed(word) for word in seed_words(seed)]
+    common = {"WIDTH": width, "PHOTON": PHOTONS.index(photon), "READ_NOISE": int(read_noise > 0),
+              "OFFSET": int(offset is not None), "TELEGRAPH": int(amplitude is not None),
+              "LINES": int(row_noise > 0 or column_noise > 0), "CONVERTER": int(converter)}
+    lines = None
+    if common["LINES"]:
+        lines = device.empty((count, rows + cols))
+        device.launch("sensor.noise", "lines", (count, -(-rows // width) + -(-cols // width)), lines, count, rows,
+                      cols, *first, float(row_noise), float(column_noise), *key, _signed(frame), read, defines=common)
+    planes = [expected if plane is None else plane for plane in (expected, offset, amplitude, lines)]
+    device.launch("sensor.noise", "noise", (count, rows, -(-cols // width)), *planes, out, rows, cols,
+                  _signed((first[0] * frame_cols + first[1]) % 2**32), frame_cols, float(dark_electrons),
+                  float(read_noise), chance_word(telegraph_switching, 31), float(full_well), *scale,
+                  float(white_level or 0.0), *key, _signed(frame), read, defines=common)
+    return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def _check(full_well, gain, white_level, seed, sensor_seed, frame, **magnitudes):
+def _check(full_well, gain, white_level, photon, switching, seed, frame, frames, read, black_level,
+           **magnitudes):
     for name, value in magnitudes.items():
         if not 0 <= value < np.inf:
             raise OutOfRange(name, value, f"0 <= {name} < inf")
+    if not np.isfinite(black_level):
+        raise OutOfRange("black_level", black_level, "a finite number [DN]")
     if not full_well > 0:
         raise OutOfRange("full_well", full_well, "full_well > 0 [e-]")
     if not 0 < gain < np.inf:
         raise OutOfRange("gain", gain, "0 < gain < inf [DN/e-]")
-    if not 0 < white_level <= 65535:
-        raise OutOfRange("white_level", white_level, "0 < white_level <= 65535 [DN]")
-    for name, value, bits in (("seed", seed, 64), ("sensor_seed", sensor_seed, 64), ("frame", frame, 32)):
+    if white_level is not None and not 0 < white_level <= 65535:
+        raise OutOfRange("white_level", white_level, "0 < white_level <= 65535 [DN], or None")
+    if photon not in PHOTONS:
+        raise UnknownName("photon", photon, PHOTONS)
+    if not 0 < switching <= 1:
+        raise OutOfRange("telegraph_switching", switching, "0 < telegraph_switching <= 1")
+    if frames is not None and not 0 < frames < 2**16:
+        raise OutOfRange("frames", frames, "1 .. 65535, or None")
+    for name, value, bits in (("seed", seed, 64), ("frame", frame, 32), ("read", read, 31)):
         if not 0 <= value < 2**bits:
             raise OutOfRange(name, value, f"0 <= {name} < 2^{bits}")
 
@@ -73,36 +114,54 @@ def _signed(word):
 
 
 def cases():
-    """Odd sizes, every switch on and off, extreme means, both outputs, large seeds: all bit for bit."""
+    """Odd sizes, every switch on and off, extreme means, all outputs, tiles and batches, large seeds: bit for bit."""
     random = np.random.default_rng(1)
-    sensor = {"dark_electrons": 0.1, "read_noise": 2.0, "prnu": 0.01, "dsnu": 0.5, "full_well": 2e4, "gain": 0.5,
-              "black_level": 64, "white_level": 4095, "seed": 2**64 - 2, "sensor_seed": 2**63 + 5, "frame": 2**32 - 3}
-    why = "both sides do the same correctly rounded float32 operations in the same order"
+    sensor = {"dark_electrons": 0.1, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "full_well": 2e4,
+              "gain": 0.5, "black_level": 64, "white_level": 4095, "seed": 2**64 - 2, "frame": 2**32 - 3,
+              "telegraph_switching": 0.3}
+    why = "both sides do the same correctly rounded operations in the same order"
 
-    def case(name, mean, **changed):
-        return Case(name, {"mean": np.asarray(mean, np.float32), **sensor, **changed}, 0.0, why, metric="exact")
+    def case(name, mean, planes=True, **changed):
+        mean = np.asarray(mean, np.float32)
+        inputs = {"expected": mean, **sensor, **changed}
+        if planes:
+            inputs["offset"] = random.normal(0, 1, mean.shape).astype(np.float32)
+            inputs["amplitude"] = np.maximum(random.normal(-5, 10, mean.shape), 0).astype(np.float32)
+        return Case(name, inputs, 0.0, why, metric="exact")
 
     for rows, cols in ((1, 1), (3, 5), (63, 65)):
         mean = 10.0 ** random.uniform(-3, 5, (rows, cols))
         yield case(f"{rows}x{cols}", mean)
         yield case(f"{rows}x{cols}, electrons", mean, electrons=True)
+        yield case(f"{rows}x{cols}, exact", mean, photon="exact", electrons=True)
     mean = 10.0 ** random.uniform(-1, 4, (17, 61))
-    for name, off in (("photon noise", {"photon_noise": False}), ("read noise", {"read_noise": 0.0}),
-                      ("PRNU", {"prnu": 0.0}), ("DSNU", {"dsnu": 0.0}), ("fixed patterns", {"prnu": 0.0, "dsnu": 0.0}),
-                      ("all but photon noise", {"read_noise": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_electrons": 0.0}),
-                      ("all noise", {"photon_noise": False, "read_noise": 0.0, "prnu": 0.0, "dsnu": 0.0})):
-        yield case(f"without {name}", mean, **off, electrons=True)
-    extreme = [0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 29.9, 30.1, 87, 88, 104, 300, 1e4, 1e7, 2.0**24 + 2, 1e12,
-               1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5]
+    quiet = {"read_noise": 0.0, "row_noise": 0.0, "column_noise": 0.0}
+    for name, planes, off in (("photon noise", True, {"photon": "none"}), ("read noise", True, {"read_noise": 0.0}),
+                              ("row noise", True, {"row_noise": 0.0}), ("column noise", True, {"column_noise": 0.0}),
+                              ("planes", False, {}), ("all but photon noise", False, {**quiet, "dark_electrons": 0.0}),
+                              ("all noise", False, {"photon": "none", **quiet})):
+        yield case(f"without {name}", mean, planes, **off, electrons=True)
+    yield case("without a converter", mean, white_level=None)
+    yield case("five frames", mean, frames=5)
+    yield case("a later read", mean, read=3)
+    yield case("a tile", mean, first=(40, 1000), frame_cols=70_000)
+    yield case("a first frame", mean, frame=0, telegraph_switching=0.01, electrons=True)
+    extreme = [0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 23.9, 24, 24.1, 87, 88, 104, 300, 1e4, 1e7, 2.0**24 + 2,
+               1e12, 1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5]
     for level in extreme:
-        quiet = {"dark_electrons": 0.0, "full_well": 3e38}
-        yield case(f"mean {level:g}", np.full((13, 37), level), **quiet, electrons=True)
-    yield case("extreme means side by side", np.resize(extreme, (33, 31)))
-    yield case("darkness", np.zeros((9, 9)), dark_electrons=0.0, photon_noise=True, black_level=0)
+        alone = {"dark_electrons": 0.0, "full_well": 3e38, "electrons": True}
+        for photon in ("fast", "exact"):
+            yield case(f"mean {level:g}, {photon}", np.full((13, 37), level), False, **quiet, **alone, photon=photon)
+    for photon in ("fast", "exact"):
+        yield case(f"extreme means side by side, {photon}", np.resize(extreme, (33, 31)), photon=photon)
+    yield case("darkness", np.zeros((9, 9)), False, dark_electrons=0.0, black_level=0)
 
 
 def bench(rows, cols):
     """Four decades of mean electrons and every kind of noise."""
+    random = np.random.default_rng(1)
     mean = np.geomspace(1, 1e4, rows * cols, dtype=np.float32).reshape(rows, cols)
-    return {"mean": mean, "dark_electrons": 0.1, "read_noise": 2.0, "prnu": 0.01, "dsnu": 0.5, "full_well": 1e4,
-            "gain": 0.4, "black_level": 64, "white_level": 4095}
+    amplitude = np.where(random.random((rows, cols)) < 1e-3, 10.0, 0.0).astype(np.float32)
+    return {"expected": mean, "offset": random.normal(0, 1, (rows, cols)).astype(np.float32), "amplitude": amplitude,
+            "dark_electrons": 0.1, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "full_well": 1e4,
+            "gain": 0.4, "black_level": 64, "white_level": 4095, "telegraph_switching": 0.1, "frame": 100}

@@ -1,4 +1,4 @@
-"""Photon, dark, read and fixed-pattern noise, saturation and the analog-digital converter.
+"""Photon, dark, read, reset, row and column noise, telegraph noise, saturation and the analog-digital converter.
 
 Unlike every other reference this one computes in float32: digital numbers have to agree bit for bit on all devices, so
 the order of correctly rounded float32 operations written here *is* the specification. What judges it is probability
@@ -7,86 +7,77 @@ theory (tests/test_noise.py), not a more precise computation.
 
 import numpy as np
 
-from gpusim.kernels.common.exact_ref import exp_negative, f32, horner, normal_pair, uniform
-from gpusim.kernels.common.philox_ref import philox, seed_words
+from gpusim.kernels.common.exact64_ref import uniform as uniform64
+from gpusim.kernels.common.exact_ref import f32, normal_pair, uniform
+from gpusim.kernels.common.philox_ref import chance_word, philox, seed_words
+from gpusim.kernels.common.poisson_ref import poisson, poisson_exact
 
-SEARCH_BELOW = f32(12)  # mean [e-]; least for which the expansion is within 1e-4 of Poisson in total variation
-MOST_BY_SEARCH = 40  # P(k > 40) < 1e-10 at mean 12
 MOST_EXPECTED = f32(1e30)  # stands for infinity, so that no inf - inf arises
-TEMPORAL, FIXED = 0, 1  # random streams: anew for every frame, or belonging to the sensor
-
-SECOND = f32(1) / f32(3), f32(1) / f32(6)
-THIRD = f32(-1) / f32(36), f32(-1) / f32(72)
-FOURTH = f32(-8) / f32(405), f32(7) / f32(810), f32(1) / f32(270)
+TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; 1 to 3 are those of `pattern`
 
 
-def noise(mean, *, dark_electrons=0.0, read_noise=0.0, prnu=0.0, dsnu=0.0, full_well, gain, black_level=0.0,
-          white_level, photon_noise=True, seed=0, sensor_seed=0, frame=0, electrons=False):
+def noise(expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
+          column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
+          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0,
+          electrons=False):
     """See `gpusim.kernels.sensor.noise`."""
-    mean = np.asarray(mean, f32)
-    pixel = np.arange(mean.size, dtype=np.uint32).reshape(mean.shape)
-    z_prnu, z_dsnu = normal_pair(*philox((pixel, 0, 0, FIXED), seed_words(sensor_seed))[:2])
-    words = philox((pixel, 0, frame, TEMPORAL), seed_words(seed))
-    z_photon, z_read = normal_pair(*words[:2])
-
-    expected = np.where(mean > MOST_EXPECTED, MOST_EXPECTED, mean)
-    if prnu:
-        expected = expected * (f32(1) + f32(prnu) * z_prnu)
+    expected, key = np.asarray(expected, f32), seed_words(seed)
+    rows, cols = expected.shape
+    y, x = first[0] + np.arange(rows), first[1] + np.arange(cols)
+    pixel = (y[:, None] * (frame_cols or first[1] + cols) + x).astype(np.uint32)
+    expected = np.where(expected > MOST_EXPECTED, MOST_EXPECTED, expected)
     expected = np.where(expected < 0, f32(0), expected) + f32(dark_electrons)
-    collected = poisson(expected, z_photon, uniform(*words[2:])) if photon_noise else expected
-    result = np.where(collected > f32(full_well), f32(full_well), collected)
-    if read_noise:
-        result = result + f32(read_noise) * z_read
-    if dsnu:
-        result = result + f32(dsnu) * z_dsnu
-    if electrons:
-        return result
-    level = f32(gain) * result + f32(black_level)
+
+    def draw(number):
+        words = philox((pixel, read, number, TEMPORAL), key)
+        z_photon, z_read = normal_pair(*words[:2])
+        counted = expected
+        if photon == "fast":
+            counted = poisson(expected, z_photon, uniform(*words[2:]))
+        elif photon == "exact":
+            counted = poisson_exact(expected, uniform64(*words[2:]))
+        result = np.where(counted > f32(full_well), f32(full_well), counted)
+        if read_noise:
+            result = result + f32(read_noise) * z_read
+        if offset is not None:
+            result = result + np.asarray(offset, f32)
+        if amplitude is not None:
+            size = np.asarray(amplitude, f32)
+            result = np.where(size > 0, result + size * trap_state(pixel, number, telegraph_switching, key), result)
+        if row_noise or column_noise:
+            result = result + line_noise(y, read, number, row_noise, ROW, key)[:, None]
+            result = result + line_noise(x, read, number, column_noise, COLUMN, key)
+        return result if electrons else convert(result, gain, black_level, white_level)
+
+    results = np.stack([draw((frame + i) % 2**32) for i in range(frames or 1)])
+    return results if frames else results[0]
+
+
+def convert(electrons, gain, black_level, white_level):
+    """Digital numbers: rounded to whole ones between 0 and the white level, or as they are where that is None."""
+    level = f32(gain) * electrons + f32(black_level)
+    if white_level is None:
+        return level
     level = np.where(level > 0, level, f32(0))  # NaN too
     return np.rint(np.where(level < f32(white_level), level, f32(white_level))).astype(np.uint16)
 
 
-def poisson(mean, z, u):
-    """Poisson numbers of float32 `mean`: by search where it is below SEARCH_BELOW, else by expansion; NaN gives NaN.
+def trap_state(pixel, frame, switching, key):
+    """1 in one state of each pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew.
 
-    z: standard normal numbers; u: uniform numbers in (0, 1].
+    So the states are a Markov chain over the frames, and yet each frame can be drawn alone. A word per frame: its last
+    bit is the state, the others decide whether it is drawn.
     """
-    few = mean < SEARCH_BELOW
-    count = np.empty_like(mean)
-    count[few] = poisson_by_search(mean[few], u[few])
-    count[~few] = poisson_by_expansion(mean[~few], z[~few])
-    return count
+    state, open_ = np.zeros(pixel.shape, f32), np.ones(pixel.shape, bool)
+    while open_.any():
+        word = philox((pixel, 0, frame // 4, TELEGRAPH), key)[frame % 4]
+        drawn = open_ & ((word >> np.uint32(1) <= chance_word(switching, 31)) | (frame == 0))
+        state[drawn] = (word & np.uint32(1))[drawn]
+        open_, frame = open_ & ~drawn, frame - 1
+    return state
 
 
-def poisson_by_search(mean, u):
-    """Walk up the distribution while P(k >= j) > u, the inversion of its upper tail.
-
-    Small u are many photons, so that rare events keep the relative precision of u, and mean 1e-8 its one in 1e8. The
-    tail is 1 less the probabilities so far; where that is rounding error only, its bound by a geometric series,
-    P(k >= j) <= p_j (j + 1) / (j + 1 - mean), ends the walk. Without it up to 7 pixels in 1e8 ran to the cap.
-    """
-    p, above = exp_negative(mean)
-    count = np.zeros_like(mean)
-    going = np.ones(mean.shape, bool)
-    for j in range(1, MOST_BY_SEARCH + 1):
-        p = p * (mean * (f32(1) / f32(j)))
-        going &= (u < above) & (u * (f32(j + 1) - mean) < p * f32(j + 1))
-        if not going.any():
-            break
-        count += going
-        above = above - p
-    return count
-
-
-def poisson_by_expansion(mean, z):
-    """Third-order Cornish-Fisher expansion of the Poisson quantile at Phi(z).
-
-    Giles, "Algorithm 955: approximation of the inverse Poisson cumulative distribution function", ACM TOMS 42 (2016),
-    equation of the normal asymptotic expansion, rounded down. The whole part of the mean stays apart, so that large
-    counts are rounded once: rounded twice, odd ones would be rarer than even ones.
-    """
-    root, whole, square = np.sqrt(mean), np.floor(mean), z * z
-    third = z * horner(square, THIRD)
-    shift = root * z + (horner(square, SECOND) + (third + horner(square, FOURTH) / root) / root)
-    count = whole + np.floor((mean - whole) + shift)
-    return np.where(count < 0, f32(0), count)
+def line_noise(line, read, frame, sigma, stream, key):
+    """What each row or column of a frame has in common."""
+    words = philox((line.astype(np.uint32), read, frame, stream), key)
+    return f32(sigma) * normal_pair(*words[:2])[0]

@@ -1,117 +1,105 @@
 """From mean electrons to digital numbers, one pixel per thread. `noise_ref` has the formulas."""
 
 # mypy: ignore-errors
+from functools import cache
+
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.common.exact_warp import exact_exp_negative, exact_normal_pair, exact_uniform
+from gpusim.kernels.common.exact_warp import exact_normal_pair
 from gpusim.kernels.common.philox_warp import philox
+from gpusim.kernels.common.poisson_warp import poisson, poisson_exact
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+OPTIONS = {"enable_backward": False, "fuse_fp": False}
+wp.set_module_options(OPTIONS)
 
-SEARCH_BELOW = wp.constant(12.0)  # mean [e-]
-MOST_BY_SEARCH = wp.constant(40)
 MOST_EXPECTED = wp.constant(1e30)
 TEMPORAL = wp.constant(wp.uint32(0))
-FIXED = wp.constant(wp.uint32(1))
+TELEGRAPH_STREAM = wp.constant(wp.uint32(4))
+ROW_STREAM = wp.constant(wp.uint32(5))
+COLUMN_STREAM = wp.constant(wp.uint32(6))
 
 
 @wp.func
-def poisson_by_search(mean: float, u: float):
-    """Count photons by walking up the distribution until the tail is below u."""
-    p, above = exact_exp_negative(mean)
-    count = float(0.0)
-    for j in range(1, MOST_BY_SEARCH + 1):
-        n = float(j)
-        p = p * (mean * (1.0 / n))
-        if not (u < above and u * ((n + 1.0) - mean) < p * (n + 1.0)):
-            break
-        count += 1.0
-        above -= p
-    return count
+def trap_state(pixel: wp.uint32, frame: wp.uint32, switching: wp.uint32, seed_low: wp.uint32, seed_high: wp.uint32):
+    """1 in one state of a pixel's trap, 0 in the other: as drawn in the last frame in which it was drawn anew."""
+    at = wp.uint32(frame)
+    words = philox(pixel, wp.uint32(0), at >> wp.uint32(2), TELEGRAPH_STREAM, seed_low, seed_high)
+    word = words[int(at & wp.uint32(3))]
+    while at != wp.uint32(0) and (word >> wp.uint32(1)) > switching:
+        if (at & wp.uint32(3)) == wp.uint32(0):
+            words = philox(pixel, wp.uint32(0), (at >> wp.uint32(2)) - wp.uint32(1), TELEGRAPH_STREAM, seed_low,
+                           seed_high)
+        at -= wp.uint32(1)
+        word = words[int(at & wp.uint32(3))]
+    return float(word & wp.uint32(1))
 
 
-@wp.func
-def poisson_by_expansion(mean: float, z: float):
-    """Count photons from a normal number, third-order Cornish-Fisher."""
-    root = wp.sqrt(mean)
-    whole = wp.floor(mean)
-    square = z * z
-    second = square * (1.0 / 6.0) + (1.0 / 3.0)
-    third = z * (square * (-1.0 / 72.0) + (-1.0 / 36.0))
-    fourth = square * (square * (1.0 / 270.0) + (7.0 / 810.0)) + (-8.0 / 405.0)
-    shift = root * z + (second + (third + fourth / root) / root)
-    count = whole + wp.floor((mean - whole) + shift)
-    return wp.where(count < 0.0, 0.0, count)
+@cache
+def specialised(kernel, PHOTON, READ_NOISE, OFFSET, TELEGRAPH, LINES, CONVERTER, WIDTH):
+    """The kernel of this name with only the code that is needed; the constants are those of the OpenCL text."""
+    if kernel == "lines":
+        return lines
+    value = wp.uint16 if CONVERTER else wp.float32
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def noise(
+        # in:
+        expected: wp.array2d[float], offset: wp.array2d[float], amplitude: wp.array2d[float], lines: wp.array2d[float],
+        # out:
+        out: wp.array3d[value],
+        # sizes and numbers:
+        rows: int, cols: int, first_pixel: int, frame_cols: int, dark_electrons: float, read_noise: float,
+        switching: int, full_well: float, gain: float, black_level: float, white_level: float, seed_low: int,
+        seed_high: int, first_frame: int, read: int,
+    ):
+        number, y, x = wp.tid()
+        frame = wp.uint32(first_frame) + wp.uint32(number)
+        pixel = wp.uint32(first_pixel) + wp.uint32(y) * wp.uint32(frame_cols) + wp.uint32(x)
+        low = wp.uint32(seed_low)
+        high = wp.uint32(seed_high)
+        electrons = expected[y, x]
+        electrons = wp.where(electrons > MOST_EXPECTED, MOST_EXPECTED, electrons)
+        electrons = wp.where(electrons < 0.0, 0.0, electrons) + dark_electrons
+        words = philox(pixel, wp.uint32(read), frame, TEMPORAL, low, high)
+        z = exact_normal_pair(words[0], words[1])
+        if wp.static(PHOTON == 1):
+            electrons = poisson(electrons, words[2], words[3], z[0])
+        if wp.static(PHOTON == 2):
+            electrons = poisson_exact(electrons, words[2], words[3])
+        electrons = wp.where(electrons > full_well, full_well, electrons)
+        if wp.static(READ_NOISE):
+            electrons = electrons + read_noise * z[1]
+        if wp.static(OFFSET):
+            electrons = electrons + offset[y, x]
+        if wp.static(TELEGRAPH):
+            size = amplitude[y, x]
+            if size > 0.0:
+                electrons = electrons + size * trap_state(pixel, frame, wp.uint32(switching), low, high)
+        if wp.static(LINES):
+            electrons = electrons + lines[number, y]
+            electrons = electrons + lines[number, rows + x]
+        level = gain * electrons + black_level
+        if wp.static(CONVERTER):
+            level = wp.where(level > 0.0, level, 0.0)  # NaN too
+            level = wp.rint(wp.where(level < white_level, level, white_level))
+        out[number, y, x] = value(level)
+
+    return noise
 
 
-@wp.func
-def noisy_electrons(
-    pixel: int, mean: float, photon_noise: int, dark_electrons: float, read_noise: float, prnu: float, dsnu: float,
-    full_well: float, seed_low: int, seed_high: int, sensor_low: int, sensor_high: int, frame: int,
+@wp.kernel
+def lines(
+    # out:
+    out: wp.array2d[float],
+    # sizes and numbers:
+    frames: int, rows: int, cols: int, first_row: int, first_col: int, row_noise: float, column_noise: float,
+    seed_low: int, seed_high: int, first_frame: int, read: int,
 ):
-    """Electrons at the ADC; the conditions are the same for all threads."""
-    fixed = wp.vec2(0.0, 0.0)
-    if prnu > 0.0 or dsnu > 0.0:
-        pattern = philox(wp.uint32(pixel), wp.uint32(0), wp.uint32(0), FIXED,
-                         wp.uint32(sensor_low), wp.uint32(sensor_high))
-        fixed = exact_normal_pair(pattern[0], pattern[1])
-    words = philox(wp.uint32(pixel), wp.uint32(0), wp.uint32(frame), TEMPORAL,
-                   wp.uint32(seed_low), wp.uint32(seed_high))
+    """What every row and every column of a frame have in common: rows first."""
+    number, i = wp.tid()
+    down = i < rows
+    line = wp.where(down, first_row + i, first_col + i - rows)
+    words = philox(wp.uint32(line), wp.uint32(read), wp.uint32(first_frame) + wp.uint32(number),
+                   wp.where(down, ROW_STREAM, COLUMN_STREAM), wp.uint32(seed_low), wp.uint32(seed_high))
     z = exact_normal_pair(words[0], words[1])
-    expected = wp.where(mean > MOST_EXPECTED, MOST_EXPECTED, mean)
-    if prnu > 0.0:
-        expected = expected * (1.0 + prnu * fixed[0])
-    expected = wp.where(expected < 0.0, 0.0, expected) + dark_electrons
-    electrons = expected
-    if photon_noise != 0:
-        if expected < SEARCH_BELOW:
-            electrons = poisson_by_search(expected, exact_uniform(words[2], words[3]))
-        else:
-            electrons = poisson_by_expansion(expected, z[0])
-    electrons = wp.where(electrons > full_well, full_well, electrons)
-    if read_noise > 0.0:
-        electrons = electrons + read_noise * z[1]
-    if dsnu > 0.0:
-        electrons = electrons + dsnu * fixed[1]
-    return electrons
-
-
-@wp.kernel
-def electrons(
-    # in:
-    mean: wp.array[float],
-    # out:
-    out: wp.array[float],
-    # sizes and numbers:
-    pixels: int, photon_noise: int, dark_electrons: float, read_noise: float, prnu: float, dsnu: float,
-    full_well: float, seed_low: int, seed_high: int, sensor_low: int, sensor_high: int, frame: int,
-):
-    """Noisy electrons."""
-    i = wp.tid()
-    if i >= pixels:
-        return
-    out[i] = noisy_electrons(i, mean[i], photon_noise, dark_electrons, read_noise, prnu, dsnu, full_well,
-                             seed_low, seed_high, sensor_low, sensor_high, frame)
-
-
-@wp.kernel
-def digital_numbers(
-    # in:
-    mean: wp.array[float],
-    # out:
-    out: wp.array[wp.uint16],
-    # sizes and numbers:
-    pixels: int, photon_noise: int, dark_electrons: float, read_noise: float, prnu: float, dsnu: float,
-    full_well: float, seed_low: int, seed_high: int, sensor_low: int, sensor_high: int, frame: int,
-    gain: float, black_level: float, white_level: float,
-):
-    """Noisy electrons through the analog-digital converter."""
-    i = wp.tid()
-    if i >= pixels:
-        return
-    result = noisy_electrons(i, mean[i], photon_noise, dark_electrons, read_noise, prnu, dsnu, full_well,
-                             seed_low, seed_high, sensor_low, sensor_high, frame)
-    level = gain * result + black_level
-    level = wp.where(level > 0.0, level, 0.0)  # NaN too
-    level = wp.where(level < white_level, level, white_level)
-    out[i] = wp.uint16(wp.rint(level))
+    out[number, i] = wp.where(down, row_noise, column_noise) * z[0]
