@@ -1,6 +1,7 @@
 """The command line: `gpusim simulate | verify | bench | devices`."""
 
 import argparse
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -29,6 +30,7 @@ def main(argv: list[str] | None = None) -> int:
 def _simulate(arguments):
     from gpusim.data.cameras import open_camera
     from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.io.frames import check_format
     from gpusim.io.scenes import open_scene
     from gpusim.scheduler import Simulator
 
@@ -36,15 +38,13 @@ def _simulate(arguments):
     for path in (*arguments.out, arguments.report):
         check_output(path)  # said before the work, not after it
     camera = open_camera(arguments.camera)
-    if any(Path(path).suffix.lower() == ".dng" for path in arguments.out) and not (
-            camera.sensor.is_monochrome or camera.processor.color == "matrix"):
-        raise OutOfRange("processor.color with a .dng output", f'"{camera.processor.color}"',
-                         '"matrix": a raw converter needs the colour matrix')
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
                        bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, fft_free=arguments.fft_free)
+    for path in arguments.out:
+        check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
     if arguments.frames > 1:
         from tqdm import tqdm
@@ -70,11 +70,10 @@ def _simulate(arguments):
 
 def _numbered(path, count):
     """From a frame's number to its file: `a.png`, or `a_0000.png` and so on for several."""
-    from gpusim.io.frames import FORMATS
+    from gpusim.io.frames import frame_format
 
     path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise UnknownName("output format", path.suffix or path.name, FORMATS)
+    frame_format(path)
     digits = max(4, len(str(count - 1)))
     return lambda number: path if count == 1 else path.with_name(f"{path.stem}_{number:0{digits}d}{path.suffix}")
 

@@ -7,7 +7,9 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
+from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
+from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.expect import expect
 from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.sensor.pattern import pattern
@@ -40,6 +42,17 @@ class Readout:
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`."""
         return dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
+
+    def check_size(self, shape):
+        """Raise OutOfRange for a frame (rows, cols) that is too small to be binned or shown."""
+        sensor = self.output
+        if self.sensor.binning != (1, 1):
+            shape = binned_shape(shape, self.sensor.binning, self.stride)
+        if not (sensor.is_monochrome or sensor.stacked or sensor.bayer_phase):
+            least = least_frame(sensor.cfa_indices)
+            if shape[0] < least[0] or shape[1] < least[1]:
+                raise OutOfRange("frame size", f"{shape[1]}x{shape[0]}", f"at least {least[1]}x{least[0]} pixels, so "
+                                 f"that all colours of the mosaic {'/'.join(sensor.cfa)} are near every pixel")
 
     def expected(self, mean, exposure_time: float, scale: float = 1.0):
         """Electrons that this chip is expected to collect, without the dark current all pixels have in common.

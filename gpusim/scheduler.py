@@ -141,6 +141,8 @@ class Simulator:
         if verify and self.camera.optics.varies and scene.samples_per_pixel != 1:
             raise OutOfRange("verify", f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over "
                              "the field", "1 sample per pixel")
+        if verify and self.camera.optics.varies and self.camera.sensor.stacked:
+            raise OutOfRange("verify", "stacked pixels with a blur that varies over the field", "a mosaic")
         exposure = self.expose(scene)
         error = self._true_error(scene, exposure) if verify else None
         yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
@@ -150,14 +152,14 @@ class Simulator:
         """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
         shape = exposure.mean.shape
         mean = self.readout.mean(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])))
-        mean = mean.reshape(*shape[:-2], -1, mean.shape[-1])
+        mean = self._layered(exposure, mean)
         for number in range(first, first + count):
             with self.device.timed() as ms:
                 raw = self.draw(exposure, seed=seed, frame=number)
                 shown, rgb = self.develop(raw, exposure)
             raw, shown, rgb = (np.array(self.device.numpy(array)) for array in (raw, shown, rgb))
             report = self._report(exposure, ms, seed, number, error, kept=number > first)
-            yield Frame(exposure.camera, exposure.exposure_time, exposure.rendering, mean, raw.reshape(mean.shape),
+            yield Frame(exposure.camera, exposure.exposure_time, exposure.rendering, mean, self._layered(exposure, raw),
                         shown, rgb, report)
 
     def bracket(self, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
@@ -166,27 +168,37 @@ class Simulator:
         The mean electrons are computed once. Raises as `frames` does. `gpusim.measure.merge_inputs` makes of them what
         a merge to high dynamic range starts from.
         """
+        factors = bracket_times(1.0, stops)
         once = self.expose(scene)
-        frames = []
-        for number, time in enumerate(bracket_times(once.exposure_time, stops)):
-            frames += self.shoot(self.lengthened(once, float(time)), seed=seed, first=first + number)
+        frames: list[Frame] = []
+        for number, factor in enumerate(factors):
+            exposure = self.lengthened(once, once.exposure_time * float(factor))
+            if number == 0:
+                exposure = dataclasses.replace(exposure, ms=once.ms | exposure.ms)
+            frames += self.shoot(exposure, seed=seed, first=first + number)
         return frames
 
     def burst(self, scene: Scene, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
-        """Raw values of `count` frames of a scene at rest, drawn at once: NumPy (count, rows, cols)."""
+        """Raw values of `count` frames of a scene at rest, drawn at once: NumPy, count x the shape of a frame's."""
         exposure = self.expose(scene)
-        return np.array(self.device.numpy(self.draw(exposure, seed=seed, frame=first, frames=count)))
+        return self._layered(exposure, np.array(self.device.numpy(self.draw(exposure, seed=seed, frame=first,
+                                                                            frames=count))))
 
     def nondestructive(self, scene: Scene, times, *, seed: int = 0, frame: int = 0) -> np.ndarray:
-        """Raw values of reads at `times` [s] after the reset that leave the charge: NumPy (reads, rows, cols)."""
+        """Raw values of reads at `times` [s] after the reset that leave the charge: NumPy, reads x a frame's shape."""
         exposure = self.expose(scene, float(np.max(times, initial=0.0)))
-        return self.readout.nondestructive(exposure.mean, exposure.exposure_time, times, gain=exposure.gain, seed=seed,
-                                           frame=frame)
+        return self._layered(exposure, self.readout.nondestructive(
+            exposure.mean, exposure.exposure_time, times, gain=exposure.gain, seed=seed, frame=frame))
 
     def average(self, exposure: Exposure, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
         """Mean raw values of `count` frames [DN], float64: see `Readout.average`."""
-        return self.readout.average(exposure.expected, exposure.exposure_time, count, gain=exposure.gain, seed=seed,
-                                    first=first)
+        return self._layered(exposure, self.readout.average(
+            exposure.expected, exposure.exposure_time, count, gain=exposure.gain, seed=seed, first=first))
+
+    def _layered(self, exposure, raw):
+        """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
+        layers = exposure.mean.shape[:-2]
+        return raw.reshape(*raw.shape[:-2], *layers, -1, raw.shape[-1])
 
     def _true_error(self, scene, exposure):
         """Error of the mean electrons against the float64 reference."""
@@ -223,6 +235,7 @@ class Simulator:
             LENGTHS[-1] - 2 * (ceil((self.reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
         if max(scene.samples) > most:
             raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
+        self.readout.check_size(scene.shape)
         made = plan(scene, self.camera, transform_lengths, fft_length, self._sampled_tables, self.tolerance,
                     self.guaranteed, self.reach, self.fft_free, self._keep)
         available = self.device.memory
@@ -258,22 +271,18 @@ class Simulator:
                           "one or more")
         if len({scene.shape for scene in scenes}) > 1:
             raise BadData("moving scene: the scenes differ in size")
-        rates, layers = [], 1
+        plans = [self.plan(scene) for scene in scenes]
         with self.device.timed() as ms:
-            for scene in scenes:
-                made = self.plan(scene)
-                rate = self._expose(made, self._rates(made), 1.0)
-                layers = prod(rate.shape[:-2])
-                if not rates:
-                    first, shape = made, rate.shape
-                    exposure_time, gain = self._metered(exposure_time, lambda rate=rate: rate)
-                    weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
-                rates.append(np.array(self.device.numpy(rate), np.float32).reshape(-1, shape[-1]))
-            mean = shutter(self.device.array(np.stack(rates)), self.device.array(np.tile(weights, (layers, 1))),
-                           device=self.device)
+            rates = [self._expose(made, self._rates(made), 1.0) for made in plans]
+            shape = rates[0].shape
+            exposure_time, gain = self._metered(exposure_time, lambda: rates[0])
+            weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
+            layers = prod(shape[:-2])  # of stacked pixels, one below the other
+            stacked = np.stack([np.reshape(self.device.numpy(rate), (-1, shape[-1])) for rate in rates])
+            mean = shutter(self.device.array(stacked), np.tile(weights, (layers, 1)), device=self.device)
         model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
-        first = dataclasses.replace(first, models=first.models | {"sensor.shutter": model})
-        return self._exposed(first, self.device.reshape(mean, shape), exposure_time, gain, ms)
+        made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
+        return self._exposed(made, self.device.reshape(mean, shape), exposure_time, gain, ms)
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
         """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
@@ -578,6 +587,7 @@ class Simulator:
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
-             "analog_gain": sensor.analog_gain, "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
+             "analog_gain": sensor.analog_gain,
+             "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": self.device.name, "kind": self.device.kind}, number, seed, stages, made.predicted, made.left_out,
             error, self.tolerance, notes)

@@ -11,6 +11,8 @@ from gpusim.data.curves import CHANNELS, curve, curve_names
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import Sensor
@@ -120,19 +122,108 @@ def test_full_well_is_white_unless_a_gain_is_given():
 
 
 def test_aperture_has_the_area_of_the_fill_factor():
-    assert sensor(fill_factor=0.75).aperture ** 2 == pytest.approx(0.75 * 1.4e-6**2, rel=ULPS)
+    height, width = sensor(fill_factor=0.75).aperture
+    assert height == width
+    assert height * width == pytest.approx(0.75 * 1.4e-6**2, rel=ULPS)
+
+
+def test_photodetector_is_the_aperture_and_gives_the_fill_factor():
+    made = sensor(photodetector=(0.5, 0.8), centre=(0.2, -0.1), offset=(0.25, 0.5))
+    assert made.aperture == pytest.approx((0.7e-6, 1.12e-6), rel=ULPS)
+    assert made.fill_factor == 0.4  # 0.5 x 0.8 is exact to the last bit of the literal
+    assert made.displacement == pytest.approx((0.45, 0.4), rel=ULPS)
+    assert dataclasses.replace(made, bits=12).aperture == made.aperture  # a copy keeps it
+
+
+def test_gain_of_conversion_and_converter_range():
+    # By hand: 40 uV/e- x 4095 DN / 0.8 V = 0.20475 DN/e-, and four times that behind an analog gain of 4.
+    made = sensor(bits=12, conversion_gain=40e-6, adc_range=0.8, black_level=95)
+    assert made.gain_dn_per_electron == pytest.approx(0.20475, rel=ULPS)
+    assert made.saturation == 6000  # 4000 DN are 19536 e-: the well is first
+    louder = dataclasses.replace(made, analog_gain=4.0, analog_offset=100.0)
+    assert louder.gain_dn_per_electron == pytest.approx(0.819, rel=ULPS)
+    assert louder.saturation == pytest.approx(4000 / 0.819 - 100, rel=ULPS)  # the converter is, less the offset
+
+
+def test_without_a_converter_values_are_electrons_unless_a_gain_is_given():
+    made = sensor(bits=32, black_level=100)
+    assert (made.gain_dn_per_electron, made.saturation, made.white_level) == (1, 6000, 6100)
+    assert sensor(bits=32, gain=0.5, analog_offset=10.0).white_level == 3005  # of a full well
+
+
+def test_one_read_adds_variances():
+    made = sensor(gain=0.5, analog_gain=2.0, noise=Noise(read=3.0, reset=4.0, adc=12.0))
+    assert made.read_sigma == pytest.approx(13, rel=ULPS)  # 3, 4 and 12 DN at 1 DN/e-: 9 + 16 + 144 = 169
+
+
+def test_dark_current_doubles_every_doubling():
+    assert Noise(temperature=25.0).warmth == 1
+    assert Noise(temperature=41.0, doubling=8.0).warmth == 4
+    assert Noise(temperature=-10.0, reference_temperature=20.0, doubling=6.0).warmth == 1 / 32
+
+
+def test_reset_noise_is_that_of_a_capacitor():
+    # kT = 1.380649e-23 x 300.15 = 4.144018e-21 J. At 50 uV/e-, C = 1.602176634e-19 / 50e-6 = 3.204353 fF, so
+    # sqrt(kTC) = sqrt(1.3278896e-35) = 3.644022e-18 C = 22.7442 e-, to the six digits carried by hand.
+    assert reset_noise(50e-6, 27.0) == pytest.approx(22.7442, rel=5e-6)
+    assert reset_noise(200e-6, 27.0) == pytest.approx(reset_noise(50e-6, 27.0) / 2, rel=ULPS)  # as sqrt(C)
 
 
 @pytest.mark.parametrize(("key", "value"), [
+    ("bits", 33), ("bits", -1), ("exposure_time", -0.01), ("exposure_time", np.nan), ("row_time", -1e-6),
+    ("row_time", np.nan), ("photodetector", (0.5, 1.1)), ("photodetector", (0, 0.5)), ("photodetector", (0.5,)),
+    ("centre", (0.6, 0)), ("centre", (0.0, 0.1)), ("offset", (np.nan, 0)), ("conversion_gain", 0), ("adc_range", -1),
+    ("analog_gain", 0), ("analog_gain", np.inf), ("analog_offset", np.nan), ("analog_offset", 7000.0),
+    ("binning", (0, 2)), ("binning", (9, 1)), ("binning", (2,)), ("binning", (1.5, 2)),
     ("pixel_pitch", 0), ("pixel_pitch", -1e-6), ("pixel_pitch", np.nan), ("pixel_pitch", 1.4), ("fill_factor", 0),
     ("fill_factor", 1.4), ("exposure_time", 0), ("exposure_time", np.inf), ("full_well", 0), ("bits", 0), ("bits", 17),
     ("bits", 9.5), ("black_level", -1), ("black_level", 1023), ("black_level", 0.5), ("gain", 0), ("gain", np.nan),
-    ("read_noise", -1), ("dark_current", -1), ("prnu", 1), ("prnu", -0.1), ("dsnu", np.inf),
-    ("fixed_pattern_seed", -1), ("fixed_pattern_seed", 2**64),
 ])
 def test_sensor_out_of_range(key, value):
     with pytest.raises(OutOfRange, match=f"sensor.{key} = .*allowed is"):
         sensor(**{key: value})
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    *((key, value) for key in ("read", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "telegraph",
+                               "dark_current", "hot_current") for value in (-1.0, np.nan, np.inf)),
+    *((key, value) for key in ("prnu", "row_prnu", "column_prnu") for value in (-0.1, 1.0, np.nan)),
+    *((key, value) for key in ("hot_pixels", "dead_pixels", "telegraph_pixels") for value in (-0.01, 1.01, np.nan)),
+    ("temperature", -273.15), ("temperature", np.nan), ("reference_temperature", 1e4), ("doubling", 0.0),
+    ("telegraph_switching", 0.0), ("telegraph_switching", 1.1), ("seed", -1), ("seed", 2**64), ("seed", 0.5),
+])
+def test_noise_out_of_range(key, value):
+    with pytest.raises(OutOfRange, match=f"noise.{key} = .*allowed is") as caught:
+        Noise(**{key: value})
+    assert f"{value:.6g}" in str(caught.value) if isinstance(value, float) else str(value) in str(caught.value)
+
+
+def test_noise_names():
+    with pytest.raises(UnknownName, match=r"noise\.photon 'exat'; did you mean 'exact'"):
+        Noise(photon="exat")
+
+
+@pytest.mark.parametrize(("changes", "error", "words"), [
+    ({"gain": 0.01, "full_well": 3000, "black_level": 64}, OutOfRange,
+     r"sensor\.full_well = 3000 e- = 30 DN above black: allowed is at least the black level, 64 DN"),
+    ({"conversion_gain": 50e-6}, BadData, "adc_range"), ({"adc_range": 1.0}, BadData, "conversion_gain"),
+    ({"gain": 1.0, "conversion_gain": 50e-6, "adc_range": 1.0}, BadData, "gain alone"),
+    ({"photodetector": (0.5, 0.5), "fill_factor": 0.5}, BadData, "wanted one of them"),
+    ({"binning_mode": "analog"}, UnknownName, r"sensor\.binning_mode 'analog'.*charge, digital"),
+    ({"binning": (2, 2), "stacked": True}, BadData, r"sensor\.binning with stacked pixels"),
+    ({"binning": (2, 2), "binning_mode": "digital", "bits": 32}, BadData, "without a converter"),
+    ({"bits": 32, "analog_offset": -6000.0}, OutOfRange, r"sensor\.analog_offset"),  # a full well reads 0
+    ({"vignetting": [[1.0, 0.5]]}, BadData, r"sensor\.vignetting"),
+    ({"vignetting": [[1.0, np.nan], [1.0, 1.0]]}, BadData, r"sensor\.vignetting"),
+])
+def test_sensor_parts_that_do_not_go_together(changes, error, words):
+    with pytest.raises(error, match=words) as caught:
+        sensor(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_bits_are_those_of_converters_or_float():
+    assert [sensor(bits=bits).white_level for bits in (1, 8, 16)] == [1, 255, 65535]
 
 
 @pytest.mark.parametrize(("changes", "words"), [
@@ -283,7 +374,14 @@ def test_phone_efficiency_is_filter_times_infrared_cut():
 def test_mono_is_one_unfiltered_channel():
     made = open_camera("mono").sensor
     assert made.is_monochrome
-    np.testing.assert_array_equal(made.qe.values[0], curve("mt9v024").values[3])
+    nodes = curve("mt9v024").wavelengths
+    np.testing.assert_array_equal(made.qe.at(nodes)[0], curve("mt9v024").values[3])
+
+
+@pytest.mark.parametrize("name", camera_names())
+def test_built_in_cameras_count_nothing_beyond_their_tables(name):
+    """So that they see photographs and lamps, whose light goes on into the ultraviolet and infrared."""
+    assert open_camera(name).sensor.qe.at([300.0, 398.9, 701.1, 1000.0]).max() == 0
 
 
 # ----------------------------------------------------------------------------------------------------- camera files
@@ -336,12 +434,41 @@ full_well_e = 20000.5
 bits = 14
 black_level_dn = 512
 gain_dn_per_e = 0.25
-read_noise_e = 1.5
+stacked = false
+photodetector_centre = [0.1, -0.05]
+offset = [0.5, 0.25]
+vignetting = [[0.8, 0.9], [1, 0.7]]
+microlens = {angles_deg = [0, 30], response = [1, 0.6], shift = 0.5}
+auto_exposure = {method = "percentile", level = 0.8, percentile = 98, longest_ms = 40, most_gain = 16}
+row_time_us = 15
+binning = [2, 1]
+binning_mode = "digital"
+analog_gain = 2
+analog_offset_e = 20
+[noise]
+photon = "exact"
 dark_current_e_per_s = 0.1
+temperature_c = 40
+reference_temperature_c = 20
+doubling_k = 6
+read_e = 1.5
+reset_e = 3
+adc_dn = 0.7
+row_e = 0.2
+column_e = 0.1
+telegraph_pixels = 0.01
+telegraph_e = 12
+telegraph_switching = 0.25
 prnu = 0.01
+row_prnu = 0.002
+column_prnu = 0.003
 dsnu_e = 0.5
-photon_noise = false
-fixed_pattern_seed = 7
+row_dsnu_e = 0.4
+column_dsnu_e = 0.3
+hot_pixels = 0.001
+hot_current_e_per_s = 200
+dead_pixels = 0.0001
+seed = 7
 [processor]
 demosaic = "adaptive"
 white_balance = "none"
@@ -356,9 +483,38 @@ name = "srgb"
     assert optics.transmission_at([550.0])[0] == pytest.approx(0.85, rel=ULPS)
     assert made == Sensor(
         pixel_pitch=5e-6, qe=made.qe, full_well=20000.5, bits=14, cfa=("GB", "RG"), fill_factor=0.5, exposure_time=0.02,
-        black_level=512, gain=0.25, read_noise=1.5, dark_current=0.1, prnu=0.01, dsnu=0.5, photon_noise=False,
-        fixed_pattern_seed=7)
+        black_level=512, gain=0.25, centre=(0.1, -0.05), offset=(0.5, 0.25), vignetting=((0.8, 0.9), (1.0, 0.7)),
+        microlens=made.microlens, auto_exposure=AutoExposure("percentile", 0.8, 98.0, 0.04, 16.0), row_time=15e-6,
+        binning=(2, 1), binning_mode="digital", analog_gain=2.0, analog_offset=20.0, noise=Noise(
+            photon="exact", dark_current=0.1, temperature=40.0, reference_temperature=20.0, doubling=6.0, read=1.5,
+            reset=3.0, adc=0.7, row=0.2, column=0.1, prnu=0.01, row_prnu=0.002, column_prnu=0.003, dsnu=0.5,
+            row_dsnu=0.4, column_dsnu=0.3, hot_pixels=0.001, hot_current=200.0, dead_pixels=0.0001,
+            telegraph_pixels=0.01, telegraph=12.0, telegraph_switching=0.25, seed=7))
+    np.testing.assert_allclose(made.microlens.angles, [0, np.pi / 6], rtol=ULPS)
+    assert (list(made.microlens.response), made.microlens.shift) == ([1, 0.6], 0.5)
     assert camera.processor == Processor("adaptive", "none", "none", "munsell")
+
+
+def test_voltages_and_reset_noise_of_the_capacitor(tmp_path):
+    text = MINIMAL + 'conversion_gain_uv_per_e = 50\nadc_range_v = 1\nphotodetector_size = [0.9, 0.5]\n' \
+        '[noise]\nreset_e = "kTC"\ntemperature_c = 27\n'
+    made = open_camera(written(tmp_path, text)).sensor
+    assert made.gain_dn_per_electron == pytest.approx(50e-6 * 1023, rel=ULPS)
+    assert made.noise.reset == pytest.approx(22.7442, rel=5e-6)  # by hand, see above
+    assert made.photodetector == (0.9, 0.5) and made.fill_factor == 0.45
+
+
+@pytest.mark.parametrize(("name", "rows", "first"), [
+    ("bayer-gbrg", ("GB", "RG"), "R"), ("mono", ("Y",), "Y"), ("rgbw", ("RG", "WB"), "R"), ("rgbn", ("RG", "NB"), "R"),
+    ("quad-bayer", ("RRGG", "RRGG", "GGBB", "GGBB"), "R"), ("rccc", ("RW", "WW"), "R"),
+    ("x-trans", ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG"), "R"),
+])
+def test_mosaics_have_names(tmp_path, name, rows, first):
+    curves = "qe = {wavelengths_nm = [400, 700], " + ", ".join(f"{c} = [0.5, 0.4]" for c in "RGBWNY") + "}"
+    text = MINIMAL.replace('qe = "mt9v024"', f'{curves}\ncfa = "{name}"') + '[processor]\ncolor = "none"\n'
+    made = open_camera(written(tmp_path, text)).sensor
+    assert made.cfa == rows and made.channels[0] == first
+    assert set(made.channels) == set("".join(rows))
 
 
 def test_generalised_sensor_multiplies_its_parts_where_all_are_known(tmp_path):
@@ -408,11 +564,38 @@ def test_efficiency_from_csv(tmp_path):
      r"\[optics\] transmission: wanted one curve, got 3"),
     ("f_number = 2.8", "f_number = 2.8\nf_number = 2.8", "line 4"),
     ("f_number = 2.8", "f_number = = 2.8", "not TOML: .*line 3"),
-    ("bits = 10", "bits = 10\ncfa = 'RGGB'", r"\[sensor\] cfa = 'RGGB': wanted a list of texts"),
+    ("bits = 10", "bits = 10\ncfa = 'RGGB'", r"\[sensor\] cfa: unknown mosaic 'RGGB'; known: bayer-bggr"),
+    ("bits = 10", "bits = 10\ncfa = 'xtrans'", r"\[sensor\] cfa: unknown mosaic 'xtrans'; did you mean 'x-trans'"),
+    ("bits = 10", "bits = 10\ncfa = 'mono'", r"\[sensor\] qe has no curve for Y; it has R, G, B, W"),
+    ("bits = 10", "bits = 10\ncfa = ['RG', 3]", r"\[sensor\] cfa = \['RG', 3\]: wanted rows of letters, such as"),
+    # before there was a section [noise] its keys were the sensor's
+    ("bits = 10", "bits = 10\nread_noise_e = 3", r"'read_noise_e' in \[sensor\]; did you mean 'read_e' in \[noise\]"),
+    ("bits = 10", "bits = 10\nphoton_noise = false", r"'photon_noise' in \[sensor\]; did you mean 'photon' in \[noise"),
+    ("bits = 10", "bits = 10\nprnu = 0.01", r"'prnu' in \[sensor\]; did you mean 'prnu' in \[noise\]"),
+    ("bits = 10", "bits = 10\ndsnu_e = 1", r"'dsnu_e' in \[sensor\]; did you mean 'dsnu_e' in \[noise\]"),
+    ("bits = 10", "bits = 10\ndark_current_e_per_s = 1", r"did you mean 'dark_current_e_per_s' in \[noise\]"),
+    ("bits = 10", "bits = 10\nfixed_pattern_seed = 1", r"did you mean 'seed' in \[noise\]"),
+    ("bits = 10", "bits = 10\n[noise]\nread = 3", r"unknown key 'read' in \[noise\]; did you mean 'read_e'"),
+    ("bits = 10", "bits = 10\n[noise]\nprun = 0.1", r"unknown key 'prun' in \[noise\]; did you mean 'prnu'"),
+    ("bits = 10", "bits = 10\n[nosie]\nprnu = 0.1", r"unknown section \[nosie\]; did you mean 'noise'"),
+    ("bits = 10", "bits = 10\n[noise]\nbits = 9", r"'bits' in \[noise\]; did you mean 'bits' in \[sensor\]"),
+    ("bits = 10", "bits = 10\n[noise]\nread_e = '3'", r"\[noise\] read_e = '3': wanted a number"),
+    ("bits = 10", "bits = 10\n[noise]\nreset_e = 'ktc'", r"\[noise\] reset_e = 'ktc': wanted a number or \"kTC\""),
+    ("bits = 10", "bits = 10\n[noise]\nreset_e = 'kTC'", r'reset_e = "kTC" needs \[sensor\] conversion_gain_uv_per_e'),
+    ("bits = 10", "bits = 10\n[noise]\nphoton = 'poisson'", r"noise\.photon 'poisson'; known: exact, fast, none"),
+    ("bits = 10", "bits = 10\n[noise]\nread_e = -1", r"noise\.read = -1 e-: allowed is 0 <= read"),
+    ("bits = 10", "bits = 10\n[noise]\ndead_pixels = 1.5", r"noise\.dead_pixels = 1\.5: allowed is 0 <= dead"),
+    ("bits = 10", "bits = 17", r"sensor\.bits = 17: allowed is a whole number, 1 <= bits <= 16, or 32"),
+    ("bits = 10", "bits = 10\nbinning = 2", r"\[sensor\] binning = 2: wanted a list of 2 whole numbers"),
+    ("bits = 10", "bits = 10\nbinning = [2, 2]\nstacked = true", r"sensor\.binning with stacked pixels"),
+    ("bits = 10", "bits = 10\nauto_exposure = {method = 'peak'}", r"\[sensor\] auto_exposure: unknown exposure method"),
+    ("bits = 10", "bits = 10\nauto_exposure = {longest = 1}", "wanted a table of method, level, percentile, longest"),
+    ("bits = 10", "bits = 10\ngain_dn_per_e = 0.001\nblack_level_dn = 64", r"full_well = 6000 e- = 6 DN above black"),
     ("bits = 10", "bits = 10\ncfa = ['RG', 'GC']", r"\[sensor\] qe has no curve for C; it has R, G, B, W"),
     ("bits = 10", "bits = 10\ncfa = ['RG', 'B']", r"sensor\.cfa"),
     ("bits = 10", "bits = 10\ncfa = []", r"sensor\.channels"),
-    ("bits = 10", "bits = 10\nphoton_noise = 1", "wanted true or false"),
+    ("bits = 10", "bits = 10\nstacked = 1", "wanted true or false"),
+    ("bits = 10", "bits = 10\n[noise]\nphoton = 1", r"\[noise\] photon = 1: wanted a text"),
     ("bits = 10", "bits = 10\nexposure_time_ms = 'long'", 'wanted a number or "auto"'),
     ('"mt9v024"', '"mt9v034"', r"\[sensor\] qe: unknown curve 'mt9v034'; did you mean 'mt9v024'"),
     ('"mt9v024"', '"cmos-photodetector"', r"\[sensor\] qe has no curve for B, G, R; it has one without a letter"),

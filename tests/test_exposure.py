@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.exposure import auto_exposure, exposure_value
+from gpusim.domain.exposure import (
+    AutoExposure,
+    auto_exposure,
+    bracket_times,
+    checked_time,
+    exposure_time,
+    exposure_value,
+)
 
 # ISETCam 3b10ec1 (MIT licence), run in GNU Octave in float64: exposureValue over 7 f-numbers x 6 times; autoExposure
 # "full" and "cfa" of one scene at 95 % of a 1 V swing, with the highest noise-free volts after 1 s.
@@ -54,6 +61,65 @@ def test_a_dark_scene_has_no_exposure():
         auto_exposure(np.zeros((4, 4)), 6000)
     with pytest.raises(BadData):
         auto_exposure(np.array([1.0, np.nan]), 6000)
+
+
+def test_exposure_value_by_hand_and_back():
+    assert exposure_value(8.0, 1 / 125) == pytest.approx(12.965784284662087, rel=RTOL)  # log2(64 x 125) = log2(8000)
+    assert exposure_time(10, 4.0) == 1 / 64
+    assert exposure_time(-2, 1.0) == 4
+    numbers, times = np.array([0.95, 1.8, 22.0])[:, None], np.array([1e-6, 1 / 60, 30.0])
+    np.testing.assert_allclose(exposure_time(exposure_value(numbers, times), numbers),
+                               np.broadcast_to(times, (3, 3)), rtol=RTOL)
+
+
+def test_bracket_is_in_stops():
+    np.testing.assert_array_equal(bracket_times(0.01, (-2, 0, 3)), [0.0025, 0.01, 0.08])
+    np.testing.assert_array_equal(bracket_times(0.01, 1), [0.02])
+    # one stop more of time is one less of exposure value
+    assert exposure_value(2.0, bracket_times(0.01, 1)) == pytest.approx(exposure_value(2.0, 0.01) - 1, rel=RTOL)
+
+
+def test_percentile_leaves_lamps_out():
+    rate = np.full((10, 100), 200.0)
+    rate[0, :5] = 1e6  # 0.5 % of the pixels
+    time, gain = AutoExposure("percentile", 0.5, 99.0).choose(rate, 6000)
+    assert (time, gain) == (pytest.approx(0.5 * 6000 / 200, rel=RTOL), 1.0)
+
+
+def test_centre_counts_more_than_the_corners():
+    """Four columns have their middles 3/8 and 1/8 of the frame from its middle; the Gaussian's sigma is 1/5."""
+    side, middle = np.exp(-0.5 * (0.375 / 0.2)**2), np.exp(-0.5 * (0.125 / 0.2)**2)
+    for column, weight in enumerate((side, middle, middle, side)):
+        rate = np.zeros((1, 4))
+        rate[0, column] = 1000.0
+        signal = AutoExposure("centre").signal(rate)
+        assert signal == pytest.approx(1000 * weight / (2 * side + 2 * middle), rel=RTOL)
+    assert AutoExposure("centre").signal(np.full((3, 7, 9), 5.0)) == pytest.approx(5, rel=RTOL)
+
+
+def test_gain_is_raised_where_the_time_is_cut_short():
+    rate = np.array([[100.0]])  # 0.5 of 6000 e- take 30 s
+    for longest, most, expected in ((40.0, 8.0, (30.0, 1.0)), (30.0, 8.0, (30.0, 1.0)), (10.0, 8.0, (10.0, 3.0)),
+                                    (10.0, 2.0, (10.0, 2.0)), (10.0, 1.0, (10.0, 1.0))):
+        assert AutoExposure(level=0.5, longest=longest, most_gain=most).choose(rate, 6000) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("changes", "error", "words"), [
+    ({"level": np.nan}, OutOfRange, "level = nan"), ({"percentile": 0.0}, OutOfRange, "percentile = 0 %"),
+    ({"percentile": 101.0}, OutOfRange, "percentile"), ({"longest": 0.0}, OutOfRange, "longest = 0 s"),
+    ({"longest": np.inf}, OutOfRange, "longest"), ({"most_gain": 0.5}, OutOfRange, "most_gain = 0.5"),
+    ({"method": "center"}, UnknownName, "did you mean 'centre'"),
+])
+def test_automatic_exposure_refuses(changes, error, words):
+    with pytest.raises(error, match=words):
+        AutoExposure(**changes)
+
+
+@pytest.mark.parametrize("time", [0, -1.0, np.nan, np.inf, 2e12])
+def test_times_that_are_none(time):
+    with pytest.raises(OutOfRange, match="exposure_time = "):
+        checked_time(time)
+    assert checked_time(None) is None and checked_time(0.5) == 0.5
 
 
 @pytest.mark.parametrize(("arguments", "error", "key"), [

@@ -17,6 +17,7 @@ import gpusim
 from gpusim.cli import main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
+from gpusim.domain.noise import Noise
 from gpusim.scheduler import Simulator
 
 
@@ -74,8 +75,8 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
     scene = chart("colorchecker", size=(61, 43))
     means = Simulator(open_camera(camera), device="numpy").expose(scene)
     mean = np.asarray(means.mean, np.float32)
-    raws = {device: Simulator(open_camera(camera), device=device).draw(mean, means.exposure_time, seed=3, frame=2)
-            for device in ALL}
+    raws = {device: Simulator(open_camera(camera), device=device).draw_electrons(mean, means.exposure_time, seed=3,
+                                                                                         frame=2) for device in ALL}
     assert raws["numpy"].dtype == np.uint16 and len(np.unique(raws["numpy"])) > 10
     for raw in raws.values():
         np.testing.assert_array_equal(raw, raws["numpy"])
@@ -90,7 +91,7 @@ def patches_of(frame, size):
 
 def clean(camera, **optics):
     """The camera without noise."""
-    sensor = replace(camera.sensor, read_noise=0.0, prnu=0.0, dsnu=0.0, dark_current=0.0, photon_noise=False)
+    sensor = replace(camera.sensor, noise=Noise(photon="none"))
     return replace(camera, sensor=sensor, optics=replace(camera.optics, **optics))
 
 
@@ -246,7 +247,25 @@ BAD = [
     (["flat", "--luminance", "1e300"], "luminance"),
     (["flat", "-o", "."], "unknown output format"),
     (["flat", "--report", "no/such/r.json"], "does not exist"),
-    (["flat", "--camera", "xtrans.toml"], "sensor.cfa of camera 'xtrans'"),
+    (["flat", "--camera", "xtrans.toml", "-o", "a.dng"], "output = the mosaic GGRGGB/GGBGGR/BRGRBG/GGBGGR/GGRGGB/"),
+    (["flat", "--camera", "stacked.toml", "-o", "a.npz", "-o", "a.dng"], "output = stacked pixels: allowed is digital"),
+    (["flat", "--camera", "float.toml", "-o", "a.DNG"], "output = float32 without a converter: allowed is"),
+    (["flat", "--camera", "blue.toml"], "sensor.qe of blue = 400 .. 600 nm: allowed is as far as the light"),
+    (["flat", "--camera", "well.toml"], "sensor.full_well = 600 e- = 60 DN above black: allowed is at least the black"),
+    (["flat", "--camera", "bits0.toml"], "sensor.bits = 0: allowed is a whole number, 1 <= bits <= 16, or 32"),
+    (["flat", "--camera", "bits17.toml"], "sensor.bits = 17: allowed is a whole number, 1 <= bits <= 16, or 32"),
+    (["flat", "--camera", "bits33.toml"], "sensor.bits = 33: allowed is a whole number, 1 <= bits <= 16, or 32"),
+    (["flat", "--camera", "qe.toml"], "sensor.qe = -0.1 .. 1.2 e-/photon: allowed is 0 <= qe <= 1"),
+    (["flat", "--camera", "letter.toml"], "[sensor] qe has no curve for N; it has R, G, B, W"),
+    (["flat", "--camera", "exposure0.toml"], "sensor.exposure_time = 0 s: allowed is 0 < exposure_time"),
+    (["flat", "--camera", "exposure-5.toml"], "sensor.exposure_time = -0.005 s: allowed is 0 < exposure_time"),
+    (["flat", "--camera", "binned.toml"], "sensor.binning with stacked pixels: wanted"),
+    (["flat", "--camera", "counting.toml"], "unknown noise.photon 'counting'; known: exact, fast, none"),
+    (["flat", "--camera", "dead.toml"], "noise.dead_pixels = 1.01: allowed is 0 <= dead_pixels <= 1"),
+    (["flat", "--camera", "misspelt.toml"], "unknown key 'raed_e' in [noise]; did you mean 'read_e'?"),
+    (["flat", "--camera", "moved.toml"], "unknown key 'read_noise_e' in [sensor]; did you mean 'read_e' in [noise]?"),
+    (["flat", "--camera", "ktc.toml"], 'reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v'),
+    (["flat", "--camera", "large.toml", "--size", "7x9"], "at least 8x8, one block of binning 4x4 in this mosaic"),
     (["flat", "--camera", "coarse.toml"], "f-number / pixel pitch"),
     (["flat", "--camera", "plain.toml", "-o", "a.dng"], "the colour matrix"),
     (["light0.npz"], "allowed are 10 .."),
@@ -272,11 +291,31 @@ def test_bad_input_is_one_line_and_status_2(arguments, words, capsys, tmp_path, 
 
 def make_bad_files():
     """Files that are well-formed and wrong, in the current folder."""
-    toml = "[optics]\nf_number = {n}\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = {pitch}\nfull_well_e = 6000\n" \
-        "bits = 10\nqe = 'mt9v024'\ncfa = {cfa}\n[processor]\ncolor = '{color}'\n"
-    Path("xtrans.toml").write_text(toml.format(n=2, pitch=1.4, cfa=["RGB", "GBR"], color="matrix"))
-    Path("coarse.toml").write_text(toml.format(n=1, pitch=40, cfa=["RG", "GB"], color="matrix"))
-    Path("plain.toml").write_text(toml.format(n=2, pitch=1.4, cfa=["RG", "GB"], color="none"))
+    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="matrix"):
+        Path(f"{name}.toml").write_text(
+            f"[optics]\nf_number = {n}\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = {pitch}\nfull_well_e = 600\n"
+            f"bits = {bits}\nqe = {qe}\n{sensor}\n[noise]\n{noise}\n[processor]\ncolor = '{color}'\n")
+
+    camera("xtrans", "cfa = 'x-trans'")
+    camera("coarse", n=1, pitch=40)
+    camera("plain", color="none")
+    camera("stacked", "stacked = true")
+    camera("float", bits=32)
+    for name, high, values in (("blue", 600, "0.5, 0.5"), ("qe", 700, "-0.1, 1.2")):
+        camera(name, qe=f"{{wavelengths_nm = [400, {high}], R = [0, 0.3], G = [{values}], B = [0.3, 0]}}")
+    camera("well", "black_level_dn = 64\ngain_dn_per_e = 0.1")
+    for bits in (0, 17, 33):
+        camera(f"bits{bits}", bits=bits)
+    camera("letter", "cfa = 'rgbn'")
+    for time in (0, -5):
+        camera(f"exposure{time}", f"exposure_time_ms = {time}")
+    camera("binned", "stacked = true\nbinning = [2, 2]")
+    camera("large", "binning = [4, 4]")
+    camera("moved", "read_noise_e = 3")
+    camera("counting", noise="photon = 'counting'")
+    camera("dead", noise="dead_pixels = 1.01")
+    camera("misspelt", noise="raed_e = 3")
+    camera("ktc", noise="reset_e = 'kTC'")
     nodes, cube = np.array([400.0, 500.0, 600.0, 700.0]), np.ones((4, 6, 8), np.float32)
     np.savez("light0.npz", cube=cube, wavelengths_nm=[0.0, 500, 600, 700])
     np.savez("negative.npz", coefficients=-cube[:2], basis=np.ones((2, 4)), wavelengths_nm=nodes)

@@ -230,7 +230,9 @@ class Sensor:
 
     @property
     def cfa_indices(self) -> np.ndarray:
-        """One period of the mosaic as indices into `channels`, int32 (rows, cols)."""
+        """One period of the mosaic as indices into `channels`, int32 (rows, cols); of stacked pixels each once."""
+        if self.stacked:
+            return np.arange(len(self.channels), dtype=np.int32)[None]
         return np.array([[self.channels.index(letter) for letter in row] for row in self.cfa], np.int32)
 
     @property

@@ -4,22 +4,52 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.errors import UnknownName
+from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.io.atomic import atomic_path
 from gpusim.io.dng import write_dng
 from gpusim.io.exr import write_rgb_exr
 from gpusim.io.images import write_png
+
+FORMATS = (".png", ".exr", ".dng", ".npz")
+
+
+def frame_format(path) -> str:
+    """Return the format that the path's suffix stands for. Raises UnknownName."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in FORMATS:
+        raise UnknownName("output format", suffix or str(path), FORMATS)
+    return suffix
+
+
+def check_format(path, camera):
+    """Raise OutOfRange unless the path's format can hold what `camera` takes; UnknownName.
+
+    camera: as operated, its sensor binned.
+    """
+    if frame_format(path) != ".dng":
+        return
+    sensor = camera.sensor
+    shown = ("stacked pixels" if sensor.stacked else "float32 without a converter" if sensor.bits == FLOAT_BITS else
+             f"the mosaic {'/'.join(sensor.cfa)}" if not (sensor.is_monochrome or sensor.bayer_phase) else None)
+    if shown:
+        raise OutOfRange("raw values for a .dng output", shown,
+                         "digital numbers of a Bayer mosaic or a monochrome sensor; .npz holds any")
+    if not sensor.is_monochrome and camera.processor.color != "matrix":
+        raise OutOfRange("processor.color with a .dng output", f'"{camera.processor.color}"',
+                         '"matrix": a raw converter needs the colour matrix')
 
 
 def write_frame(path, frame):
     """Write one frame (gpusim.scheduler.Frame) in the format of the path's suffix.
 
     .png: display codes. .exr: linear display RGB. .dng: digital numbers with what a raw converter needs.
-    .npz: `electrons` (mean, float32 [e-]), `dn` (uint16 [DN]), `exposure_time_s`, `black_level`, `white_level`,
-    `gain_dn_per_e`, `cfa`. Raises UnknownName and BadFile.
+    .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]), both (rows, cols) or, of
+    stacked pixels, (C, rows, cols), `exposure_time_s`, `black_level`, `white_level`, `gain_dn_per_e`, `cfa`,
+    `channels`. Raises UnknownName, BadFile and, for what a .dng cannot hold, OutOfRange.
     """
-    suffix = Path(path).suffix.lower()
-    sensor = frame.camera.sensor
+    check_format(path, frame.camera)
+    suffix, sensor = frame_format(path), frame.camera.sensor
     if suffix == ".png":
         write_png(path, frame.rgb)
     elif suffix == ".exr":
@@ -29,13 +59,9 @@ def write_frame(path, frame):
                                                   "as_shot_neutral": frame.rendering.neutral}
         write_dng(path, frame.raw, "" if sensor.is_monochrome else "".join(sensor.cfa), sensor.black_level,
                   sensor.white_level, camera_name=f"gpusim {frame.camera.name}", **colors)
-    elif suffix == ".npz":
+    else:
         with atomic_path(path) as temporary:
             np.savez_compressed(temporary, electrons=frame.mean, dn=frame.raw, cfa=np.array(sensor.cfa),
-                                exposure_time_s=frame.exposure_time, black_level=sensor.black_level,
-                                white_level=sensor.white_level, gain_dn_per_e=sensor.gain_dn_per_electron)
-    else:
-        raise UnknownName("output format", suffix or str(path), FORMATS)
-
-
-FORMATS = (".png", ".exr", ".dng", ".npz")
+                                channels=np.array(sensor.channels), exposure_time_s=frame.exposure_time,
+                                black_level=sensor.black_level, white_level=sensor.white_level,
+                                gain_dn_per_e=sensor.gain_dn_per_electron)

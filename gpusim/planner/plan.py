@@ -282,7 +282,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     gain = np.prod(list(falloffs.values()), axis=0) if falloffs else None
     if falloffs:
         models["optics.gain"] = " and ".join(falloffs)
-    models["sensor.expose"] = f"{'cos^4, ' if slope else ''}mosaic of {'/'.join(sensor.cfa)}"
+    layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
+    models["sensor.expose"] = f"{'cos^4, ' if slope else ''}{layout}"
     if gains is not None:
         predicted["border"] = border
         if optics.is_ideal:
