@@ -1,128 +1,60 @@
-"""Sensor noise: known answers, equality of all devices, and the distributions against probability theory.
+"""Sensor noise: the same bits everywhere, and the distributions against probability theory.
 
-Every statistical test has a fixed seed and fails at a p-value below ALPHA, the chance that a right sampler with new
-random numbers would fail it.
+The stage's cases are compared bit for bit, on every device, in test_stages.py; the samplers' own maps are in
+test_poisson.py; fixed patterns in test_pattern.py.
 """
+
+from dataclasses import replace
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from devices import DEVICES
+from acceptance import ALPHA, SIGMAS, check, p_values
+from devices import ALL, DEVICES
 from scipy import stats
-from scipy.special import ndtr
 
 from gpusim.backends import open_device
-from gpusim.domain.errors import OutOfRange
-from gpusim.kernels.common import exact_ref
-from gpusim.kernels.common.philox_ref import philox, seed_words
+from gpusim.backends import opencl as opencl_backend
+from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
+from gpusim.domain.noise import Noise
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.spectrum import Spectrum
+from gpusim.kernels.common.poisson_ref import EXACT_SEARCH_BELOW, SEARCH_BELOW
 from gpusim.kernels.sensor.noise import noise
-from gpusim.kernels.sensor.noise_ref import MOST_BY_SEARCH, SEARCH_BELOW, poisson_by_expansion, poisson_by_search
-from gpusim.kernels.stage import compare
+from gpusim.readout import Readout
 
-ALPHA = 1e-6
-SIGMAS = stats.norm.isf(ALPHA / 2)  # 4.9
 f32 = np.float32
-MEANS = [1e-8, 1e-3, 0.1, 0.5, 3, 5, 11.9, 12, 12.1, 30, 87, 88, 104, 300, 1e3, 1e4, 1e5, 1e7]
+# where each sampler goes from search to expansion, 0.1 to both sides
+SWITCHES = [float(f32(mean + side)) for mean in (SEARCH_BELOW, EXACT_SEARCH_BELOW) for side in (-0.1, 0, 0.1)]
+MEANS = [0, 1e-8, 1e-3, 0.1, 0.5, 3, 5, *SWITCHES, 30, 87, 88, 104, 300, 1e3, 1e4, 1e5, 1e7, 2.0**24 + 1]
+FEWER = [1e-3, 0.5, 5, *SWITCHES[3:], 104, 1e5, 1e7]
 IDEAL = {"full_well": np.inf, "gain": 1.0, "white_level": 65535}
+QE = Spectrum(np.array([400.0, 700.0]), np.ones((1, 2)))
 
 
 def electrons(mean, device="numpy", **changed):
     return noise(np.asarray(mean, f32), **{**IDEAL, **changed}, electrons=True, device=device)
 
 
-# ---------------------------------------------------------------- random words and elementary functions
-
-
-@pytest.mark.parametrize(("counter", "key", "answer"), [
-    # Random123 (D. E. Shaw Research), file kat_vectors, lines "philox4x32 10"
-    ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
-    ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
-    ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
-])
-def test_philox_gives_the_published_answers(counter, key, answer):
-    def numbers(text):
-        return [int(word, 16) for word in text.split()]
-
-    assert [int(np.ravel(word)[0]) for word in philox(numbers(counter), numbers(key))] == numbers(answer)
-
-
-def test_seed_words_are_the_halves_of_the_seed():
-    assert seed_words(0x0123456789ABCDEF) == (0x89ABCDEF, 0x01234567)
-
-
-def ulps(values, truth):
-    """Largest error in units of the last place of the true value."""
-    truth = np.asarray(truth, np.float64)
-    return float(np.max(np.abs(values - truth) / np.spacing(np.abs(truth).astype(f32)).astype(np.float64)))
-
-
-def binade(exponent, step=1):
-    """Every `step`-th float32 from 2^exponent to 2^(exponent + 1)."""
-    return (np.arange(0, 2**23, step, dtype=np.uint32) + np.uint32((127 + exponent) << 23)).view(f32)
-
-
-def log_ulps(exponent):
-    return ulps(exact_ref.log(binade(exponent)), np.log(binade(exponent).astype(np.float64)))
-
-
-def exp_ulps(exponent, step=1):
-    x = binade(exponent, step)
-    value, complement = exact_ref.exp_negative(x)
-    exact = x.astype(np.float64)
-    return ulps(value, np.exp(-exact)), ulps(complement, -np.expm1(-exact))
-
-
-@pytest.mark.parametrize("exponent", [-33, -2, -1])  # the deepest tail, and where the parts cancel most
-def test_log_errs_by_less_than_one_ulp(exponent):
-    # Half a unit is the last rounding; the rest, polynomial and lost bits of the parts, was made to fit into another.
-    assert log_ulps(exponent) < 1
-
-
-@pytest.mark.parametrize("exponent", [-10, -4, -3, -2, -1, 0, 1, 2, 3])
-def test_exp_errs_by_less_than_one_ulp(exponent):
-    value, complement = exp_ulps(exponent, step=5)
-    assert value < 1  # as for the logarithm
-    assert complement < 1.5  # x in [1/4, ln(2)/2]: r - r^2 P keeps the error of r^2 P, half as large as the result
-
-
-@pytest.mark.slow
-def test_log_and_exp_on_every_float_of_their_range():
-    assert max(log_ulps(exponent) for exponent in range(-33, 0)) < 1
-    errors = [exp_ulps(exponent) for exponent in range(-30, 6)]
-    assert max(value for value, _ in errors) < 1
-    assert max(complement for _, complement in errors) < 1.5
-
-
-def test_sine_and_cosine_err_by_less_than_one_ulp():
-    a = np.concatenate([binade(exponent, 7) for exponent in range(-12, 0)])
-    a = a[a <= f32(np.pi / 4)]
-    a = np.concatenate([a, -a])
-    sine, cosine = exact_ref.sine_cosine(a)
-    # half a unit for the last rounding, less than half for what is added to the leading term
-    assert ulps(sine, np.sin(a.astype(np.float64))) < 1
-    assert ulps(cosine, np.cos(a.astype(np.float64))) < 1
-
-
-def test_uniform_reaches_both_ends_and_uses_all_64_bits():
-    high, low = np.array([[0, 0, 2**32 - 1], [0, 2**32 - 1, 2**32 - 1]], np.uint32)
-    np.testing.assert_array_equal(exact_ref.uniform(high, low), [f32(2.0**-65), f32(2.0**-32), 1])
-
-
-def test_normal_pairs_are_box_muller():
-    radial = np.unique(np.geomspace(1, 2**31, 300).astype(np.uint32))
-    angular = np.append(np.random.default_rng(1).integers(0, 2**32, 300, np.uint32),
-                        np.array([0, 2**30 - 1, 2**30, 2**31 - 1, 2**31, 2**32 - 1], np.uint32))
-    radial, angular = np.meshgrid(np.append(np.uint32(0), radial), angular)
-    radius = np.sqrt(-2 * np.log((radial + 0.5) / 2.0**32))
-    arc, within = np.divmod(angular.astype(np.int64), 2**30)
-    a = np.where(within >= 2**29, within - 2**30, within) * (np.pi / 4 / 2**29)
-    along, across = radius * np.cos(a) * np.where(arc >= 2, -1, 1), radius * np.sin(a)
-    first, second = exact_ref.normal_pair(radial, angular)
-    # up to six roundings of numbers below 6.77, whose last place is 2^-21, beside the elementary functions' one ulp
-    np.testing.assert_allclose(first, np.where(arc % 2, across, along), rtol=0, atol=8 * 2.0**-22)
-    np.testing.assert_allclose(second, np.where(arc % 2, along, across), rtol=0, atol=8 * 2.0**-22)
-
-
 # ---------------------------------------------------------------- the same bits everywhere
+
+
+def everything(rows, cols, photon):
+    """All kinds of noise at once, and means from rare photons to 1e8 e-, in no order."""
+    random = np.random.default_rng(3)
+    return {"expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
+            "offset": random.normal(0, 1, (rows, cols)).astype(f32),
+            "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32), "dark_electrons": 1e-3,
+            "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "telegraph_switching": 0.3, "full_well": 1e8,
+            "gain": 0.5, "black_level": 64.0, "white_level": 65535, "photon": photon, "seed": 2**40 + 3, "frame": 9,
+            "electrons": photon == "exact"}  # one of them with, one without a converter
+
+
+@pytest.fixture(scope="module", params=["fast", "exact"])
+def whole(request):
+    """Inputs of a large frame (2e5 pixels: the tails of the normal numbers too), and the frame of the reference."""
+    inputs = everything(300, 701, request.param)
+    return inputs, noise(**inputs, device="numpy")
 
 
 def test_there_are_devices_to_compare():
@@ -131,27 +63,40 @@ def test_there_are_devices_to_compare():
 
 
 @pytest.mark.parametrize("name", DEVICES)
-def test_every_case_has_the_same_bits_on_every_device(name):
-    different = {case.name: error for case, error in compare("sensor.noise", open_device(name)) if error != 0}
-    assert not different
+def test_a_large_frame_has_the_same_bits_on_every_device(name, whole):
+    inputs, frame = whole
+    np.testing.assert_array_equal(noise(**inputs, device=name), frame)
 
 
-@pytest.mark.parametrize("name", DEVICES)
-@pytest.mark.parametrize("changed", [{}, {"photon_noise": False}], ids=["photons", "normal numbers"])
-def test_a_large_frame_has_the_same_bits_on_every_device(name, changed):
-    mean = np.geomspace(1e-4, 1e8, 300 * 701).reshape(300, 701)  # 2e5 pixels: the tails of the normal numbers too
-    inputs = {"dark_electrons": 1e-3, "read_noise": 2.0, "prnu": 0.02, "dsnu": 0.7, "seed": 3, "frame": 9} | changed
-    np.testing.assert_array_equal(electrons(mean, name, **inputs), electrons(mean, **inputs))
+def test_tiles_of_several_devices_make_one_frame(whole):
+    inputs, frame = whole
+    tiles = np.empty_like(frame)
+    rows, cols = pairwise([0, 1, 130, 300]), pairwise([0, 7, 8, 333, 701])
+    for i, ((top, bottom), (left, right)) in enumerate(product(rows, cols)):
+        part = np.s_[top:bottom, left:right]
+        planes = {name: inputs[name][part] for name in ("expected", "offset", "amplitude")}
+        tiles[part] = noise(**{**inputs, **planes}, first=(top, left), frame_cols=701, device=ALL[i % len(ALL)])
+    np.testing.assert_array_equal(tiles, frame)
 
 
-def test_one_pixel_per_work_item_has_the_same_bits_as_eight(monkeypatch):
+def test_width_and_work_group_do_not_matter(monkeypatch, whole):
+    inputs, frame = whole
     device = open_device("opencl")
-    mean, inputs = np.geomspace(1e-4, 1e8, 7001).reshape(1, -1), {"read_noise": 2.0, "prnu": 0.02, "dsnu": 0.7}
-    results = []
-    for is_gpu in (False, True):  # which decides the width
-        monkeypatch.setattr(device, "is_gpu", is_gpu)
-        results.append(electrons(mean, device.name, **inputs))
-    np.testing.assert_array_equal(*results)
+    monkeypatch.setattr(opencl_backend, "CPU_GROUP", 24)
+    np.testing.assert_array_equal(noise(**inputs, device=device), frame)
+    monkeypatch.setattr(device, "is_gpu", not device.is_gpu)  # which decides the width, 1 or 8, and the work-groups
+    np.testing.assert_array_equal(noise(**inputs, device=device), frame)
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("photon", ["fast", "exact"])
+def test_batches_and_the_order_of_frames_do_not_matter(name, photon):
+    inputs = everything(9, 37, photon) | {"frame": 2**32 - 2}  # the third frame is number 0 again
+    batch = noise(**inputs, frames=3, device=name)
+    for number in (2, 0, 1):
+        one = noise(**inputs | {"frame": (2**32 - 2 + number) % 2**32}, device=name)
+        np.testing.assert_array_equal(batch[number], one)
+    assert len({one.tobytes() for one in batch}) == 3
 
 
 def test_device_arrays_stay_on_the_device():
@@ -161,178 +106,28 @@ def test_device_arrays_stay_on_the_device():
     np.testing.assert_array_equal(device.numpy(result), noise(np.full((3, 4), 9.0, f32), **IDEAL, device="numpy"))
 
 
-@pytest.mark.parametrize("name", ["numpy", *DEVICES])
-def test_frames_do_not_depend_on_their_order(name):
-    mean, inputs = np.full((16, 17), 40.0), {"read_noise": 1.0, "prnu": 0.1, "dsnu": 1.0, "seed": 5}
-    forth = [electrons(mean, name, frame=frame, **inputs) for frame in (0, 1, 2)]
-    back = [electrons(mean, name, frame=frame, **inputs) for frame in (2, 1, 0)]
-    np.testing.assert_array_equal(forth, back[::-1])
-    assert not np.array_equal(forth[0], forth[1])
+# ---------------------------------------------------------------- photons
 
 
-def test_patterns_belong_to_the_sensor_and_temporal_noise_to_the_frame():
-    mean = np.full((8, 9), 50.0)
-    pattern = {"photon_noise": False, "prnu": 0.1, "dsnu": 1.0}
-    np.testing.assert_array_equal(electrons(mean, **pattern, frame=1, seed=2), electrons(mean, **pattern, frame=7))
-    assert not np.any(electrons(mean, **pattern) == electrons(mean, **pattern, sensor_seed=2**32))
-    np.testing.assert_array_equal(electrons(mean, read_noise=1.0, sensor_seed=8), electrons(mean, read_noise=1.0))
-    assert not np.any(electrons(mean, read_noise=1.0) == electrons(mean, read_noise=1.0, seed=2**32))  # high half
+def sampler(mean, photon, size):
+    """draw(seed, frame) of `acceptance.check`; by the fastest device, as all have the same bits."""
+    plane = np.full((size, size), mean)
+    return lambda seed=1, frame=0: electrons(plane, "opencl", photon=photon, seed=seed, frame=frame)
 
 
-# ---------------------------------------------------------------- the sampler's own map, without sampling
-
-
-def crossing(predicate, low, high, shape):
-    """Where in [low, high] float32 numbers the monotone `predicate` becomes true, for each element of `shape`.
-
-    Bisection over the floats themselves; the result is halfway between the last false and the first true one, which is
-    where a real number is rounded to the latter.
-    """
-    def floats(order):
-        return np.where(order >= 0, order, 2**31 - order).astype(np.uint32).view(f32)
-
-    def order(value):
-        bits = int(np.abs(f32(value)).view(np.int32))
-        return np.full(shape, bits if value >= 0 else -bits, np.int64)
-
-    low, high = order(low), order(high)
-    while (high - low).max() > 1:
-        middle = (low + high) // 2
-        found = predicate(floats(middle))
-        low, high = np.where(found, low, middle), np.where(found, middle, high)
-    return (floats(low).astype(np.float64) + floats(high)) / 2
-
-
-def search_probabilities(mean):
-    """P(k) of the search for a uniform number that is rounded to float32, k = 0 to its largest."""
-    k = np.arange(1, MOST_BY_SEARCH + 1)
-    means = np.full(k.shape, mean, f32)
-    tail = crossing(lambda u: poisson_by_search(means, u) < k, 0.0, 2.0, k.shape)  # k falls with u
-    return np.arange(MOST_BY_SEARCH + 1), -np.diff(np.concatenate([[1.0], np.minimum(tail, 1), [0.0]]))
-
-
-def expansion_probabilities(mean):
-    """P(k) of the expansion for a normal number that is rounded to float32, within 9 standard deviations."""
-    k = np.arange(max(np.floor(mean - 9 * np.sqrt(mean)), 0), np.ceil(mean + 10 * np.sqrt(mean)) + 2)
-    means = np.full(k.shape, mean, f32)
-    below = ndtr(crossing(lambda z: poisson_by_expansion(means, z) >= k, -12.0, 12.0, k.shape))
-    below[0] = 0.0
-    return k[:-1], np.diff(below)
-
-
-def probabilities(mean):
-    return search_probabilities(mean) if f32(mean) < SEARCH_BELOW else expansion_probabilities(mean)
-
-
-# from below to above the switch densely (the distance is greatest there), then to where float32 holds every count
-@pytest.mark.parametrize("mean", [1e-8, 1e-3, 0.1, 1.0, 5.0, 11.0, 11.999, *np.arange(12, 16, 0.25), 20.0, 29.9, 30.0,
-                                  87.0, 104.0, 300.5, 1e3, 1e4, 1e5, 1e6, 1e7, 1.6e7])
-def test_total_variation_to_poisson(mean):
-    k, p = probabilities(mean)
-    distance = 0.5 * np.abs(p - stats.poisson.pmf(k, float(f32(mean)))).sum()
-    # 1e-4 is what the sampler promises; the search has float32 sums of at most 40 terms: 40 * 2^-25
-    assert distance <= (40 * 2.0**-25 if mean < SEARCH_BELOW else 1e-4)
-
-
-def test_the_expansion_rises_with_the_normal_number():
-    # what bisection takes for granted; |z| <= 6.76
-    z = np.linspace(-6.77, 6.77, 200_001).astype(f32)
-    for mean in (12, 12.5, 13, 20, 100, 1e4, 1e7):
-        assert np.all(np.diff(poisson_by_expansion(np.full(z.shape, mean, f32), z)) >= 0)
-
-
-@pytest.mark.parametrize("mean", [1e-12, 1e-8, 1e-7, 1e-4])
-def test_rare_photons_are_as_rare_as_they_should(mean):
-    tail = 1 - search_probabilities(mean)[1][0] if mean > 1e-5 else search_probabilities(mean)[1][1]
-    # 1e-5: u and the tail are float32 with full relative precision; 1 - P(0) loses 1e-16 / 1e-4 in this test
-    assert tail == pytest.approx(-np.expm1(-float(f32(mean))), rel=1e-5)
-
-
-def test_the_search_ends_where_the_distribution_ends():
-    # A sum of probabilities that saturates beside 1 would give one pixel in ten million the largest count there is, at
-    # those means where the last rounding goes that way.
-    mean, u = np.meshgrid(np.geomspace(1e-3, 11.99, 200, dtype=f32), f32(2.0) ** -np.arange(66, dtype=f32))
-    k = poisson_by_search(mean, u)
-    # The bound by a geometric series promises u (k + 1 - mean) < p_k (k + 1), and the true tail is at least p_k. The
-    # computed p_k is a product of at most 40 factors, each with two roundings: 80 * 2^-24 < 2^-17.
-    tail = stats.poisson.sf(k - 1, mean.astype(np.float64))
-    assert np.all(u * (k + 1 - mean) <= tail * (k + 1) * (1 + 2.0**-17))
-
-
-def test_no_step_at_the_switch():
-    moments = []
-    for probability in (search_probabilities, expansion_probabilities):
-        k, p = probability(float(SEARCH_BELOW))
-        mean = (k * p).sum()
-        moments.append((mean / np.sqrt(12), ((k - mean) ** 2 * p).sum() / 12))
-    # 3e-4 standard deviations: invisible below 1e7 pixels
-    np.testing.assert_allclose(*moments, rtol=0, atol=3e-4)
-
-
-@pytest.mark.parametrize("mean", [8.0, 100.0, 1e4])
-def test_mean_of_the_clipped_counts(mean):
-    k, p = probabilities(mean)
-    truth = mean - stats.poisson.expect(lambda n: np.maximum(n - mean, 0), (mean,), maxcount=10**6, tolerance=1e-14,
-                                        lb=0, ub=mean + 12 * np.sqrt(mean) + 30)
-    # 1e-3 e- is invisible below 1e8 pixels; total variation x standard deviation is less than that at all means
-    assert (np.minimum(k, mean) * p).sum() == pytest.approx(truth, abs=1e-3)
-
-
-# ---------------------------------------------------------------- statistics of samples
-
-
-def p_values(k, mean):
-    """P-values of a (rows, cols) sample against independent Poisson numbers of this mean, by test."""
-    n, k = k.size, np.asarray(k, np.float64)
-    total = stats.poisson(n * mean)
-
-    def two_sided(z):
-        return 2 * stats.norm.sf(abs(z))
-
-    result = {"mean": min(1, 2 * min(total.cdf(k.sum()), total.sf(k.sum() - 1)))}
-    low, mass = stats.poisson.cdf(k - 1, mean), stats.poisson.pmf(k, mean)
-    uniform = np.clip(low + mass * np.random.default_rng(7).random(k.shape), 0, 1)  # randomised probability integral
-    result["KS"] = stats.kstest(uniform.ravel(), "uniform").pvalue
-    result["chi2"] = stats.chisquare(np.histogram(uniform, 64, (0, 1))[0]).pvalue
-    for at_least in (2, 3):
-        p = stats.poisson.sf(at_least - 1, mean)
-        result[f"k >= {at_least}"] = stats.binomtest(int((k >= at_least).sum()), n, p).pvalue if p > 0 else 1.0
-    for tail in (1e-3, 1e-5):
-        limit = stats.poisson.isf(tail, mean)
-        result[f"tail {tail}"] = stats.binomtest(int((k > limit).sum()), n, stats.poisson.sf(limit, mean)).pvalue
-    if n * mean < 1e4:  # too few photons for the central limit theorem at SIGMAS
-        return result
-    x = (k - mean) / np.sqrt(mean)
-    # central moments of Poisson: mu4 = m + 3 m^2, mu6 = m + 25 m^2 + 15 m^3
-    result["dispersion"] = two_sided(((x**2).mean() - 1) / np.sqrt((2 + 1 / mean) / n))
-    result["skewness"] = two_sided(((x**3).mean() - mean**-0.5) / np.sqrt((15 + 24 / mean + mean**-2) / n))
-    for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (0, 16), (16, 0)):
-        products = x[down:, right:] * x[: x.shape[0] - down, : x.shape[1] - right]
-        result[f"lag {down},{right}"] = two_sided(products.mean() * np.sqrt(products.size))
-    return result
-
-
-def check(k, mean):
-    failed = {name: p for name, p in p_values(k, mean).items() if not p >= ALPHA}
-    assert not failed
-
-
-@pytest.mark.parametrize("mean", MEANS)
-def test_photons_are_poisson(mean):
-    check(electrons(np.full((512, 512), mean), seed=1), float(f32(mean)))
-
-
-def test_mean_0_has_no_photons():
-    assert not electrons(np.zeros((512, 512))).any()
+@pytest.mark.parametrize(("photon", "mean"), [*product(["fast"], MEANS), *product(["exact"], FEWER)])
+def test_photons_are_poisson(photon, mean):
+    check(sampler(mean, photon, 2**9), float(f32(mean)))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mean", MEANS)
-def test_photons_are_poisson_in_large_samples(mean):
-    check(electrons(np.full((2048, 2048), mean), "opencl", seed=2), float(f32(mean)))
+@pytest.mark.parametrize(("photon", "mean"), [*product(["fast", "exact"], MEANS)])
+def test_photons_are_poisson_in_large_samples(photon, mean):
+    check(sampler(mean, photon, 2**12), float(f32(mean)))
 
 
-@pytest.mark.parametrize("wrong", ["normal", "rounded down", "repeated rows", "8 bits", "one pixel too bright"])
+@pytest.mark.parametrize("wrong", ["normal", "rounded down", "repeated rows", "repeated colours", "repeated tiles",
+                                   "8 bits", "one pixel too bright"])
 def test_the_suite_sees_wrong_samplers(wrong):
     random = np.random.default_rng(1)
     mean = 0.1 if wrong == "one pixel too bright" else 30.0
@@ -340,6 +135,8 @@ def test_the_suite_sees_wrong_samplers(wrong):
         "normal": lambda: np.rint(random.normal(mean, np.sqrt(mean), (512, 512))),
         "rounded down": lambda: random.poisson(mean, (512, 512)) - (random.random((512, 512)) < 0.5),
         "repeated rows": lambda: np.repeat(random.poisson(mean, (256, 512)), 2, axis=0),
+        "repeated colours": lambda: np.kron(random.poisson(mean, (256, 256)), np.ones((2, 2))),
+        "repeated tiles": lambda: np.tile(random.poisson(mean, (512, 128)), (1, 4)),
         "8 bits": lambda: stats.poisson.ppf((random.integers(0, 256, (512, 512)) + 0.5) / 256, mean),
         "one pixel too bright": lambda: np.where(np.arange(2**18).reshape(512, 512) == 99, 100,
                                                  random.poisson(mean, (512, 512))),
@@ -347,13 +144,22 @@ def test_the_suite_sees_wrong_samplers(wrong):
     assert min(p_values(k, mean).values()) < ALPHA
 
 
-def test_frames_streams_and_seeds_are_independent():
-    mean = np.full((512, 512), 100.0)
+@pytest.mark.parametrize("repeated", ["frame", "seed"])
+def test_the_suite_sees_repeated_numbers(repeated):
+    def draw(seed=1, frame=0):
+        return np.random.default_rng(seed if repeated == "frame" else frame).poisson(0.5, (512, 512))
+
+    with pytest.raises(AssertionError, match=repeated):
+        check(draw, 0.5)
+
+
+def test_frames_streams_reads_and_seeds_are_independent():
+    mean, dark = np.full((512, 512), 100.0), np.zeros((512, 512))
     samples = np.array([
-        electrons(mean), electrons(mean, frame=1), electrons(mean, frame=2**31), electrons(mean, seed=1),
-        electrons(mean, seed=2**32), *(electrons(np.zeros_like(mean), read_noise=1.0, frame=frame) for frame in (0, 1)),
-        electrons(mean, photon_noise=False, prnu=0.1), electrons(mean, photon_noise=False, dsnu=1.0)]).reshape(9, -1)
-    correlation = np.corrcoef(samples)[np.triu_indices(9, 1)]
+        electrons(mean), electrons(mean, frame=1), electrons(mean, read=1), electrons(mean, seed=1),
+        *(electrons(dark, read_noise=1.0, photon="none", **place) for place in ({}, {"frame": 1}, {"read": 1}))])
+    samples = samples.reshape(len(samples), -1)
+    correlation = np.corrcoef(samples)[np.triu_indices(len(samples), 1)]
     assert np.abs(correlation).max() < SIGMAS / np.sqrt(mean.size)
     # photons below the switch come from other words than the read noise of the same pixel; above it, from the other
     # number of the same Box-Muller pair
@@ -363,81 +169,223 @@ def test_frames_streams_and_seeds_are_independent():
     np.testing.assert_array_less(np.abs(np.corrcoef(photons**2, read**2)[0, 1]), SIGMAS / np.sqrt(mean.size))
 
 
-@pytest.mark.parametrize("inputs", [{"read_noise": 3.0}, {"dsnu": 3.0}, {"prnu": 0.003}],
-                         ids=["read noise", "DSNU", "PRNU"])
-def test_normal_noise_has_its_standard_deviation_and_shape(inputs):
-    level = 1000.0 if "prnu" in inputs else 0.0
-    z = (electrons(np.full((512, 512), level), photon_noise=False, **inputs).ravel() - level) / 3
+def test_dark_electrons_are_counted_like_photons():
+    assert min(p_values(electrons(np.ones((512, 512)), dark_electrons=4.0), 5.0).values()) > ALPHA
+
+
+# ---------------------------------------------------------------- other temporal noise
+
+
+def assert_standard_normal(z):
+    z = z.ravel().astype(np.float64)
     assert abs(z.mean()) < SIGMAS / np.sqrt(z.size)
     assert 2 * min(stats.chi2(z.size).cdf((z**2).sum()), stats.chi2(z.size).sf((z**2).sum())) > ALPHA
     assert stats.kstest(z, "norm").pvalue > ALPHA
     assert abs((z**3).mean()) < SIGMAS * np.sqrt(15 / z.size)  # E z^6 = 15
     assert abs((z**4).mean() - 3) < SIGMAS * np.sqrt(96 / z.size)  # E z^8 - 9 = 105 - 9
+    assert abs((z[1:] * z[:-1]).mean()) < SIGMAS / np.sqrt(z.size)
+
+
+def test_read_noise_is_normal():
+    assert_standard_normal(electrons(np.zeros((512, 512)), photon="none", read_noise=3.0) / 3)
+
+
+@pytest.mark.parametrize(("key", "axis"), [("row_noise", 1), ("column_noise", 0)])
+def test_noise_of_lines_is_normal_and_common_to_each(key, axis):
+    shape = (2**16, 3) if axis == 1 else (3, 2**16)
+    one = {key: 2.0, "photon": "none"}
+    frames = [electrons(np.zeros(shape), **one, **place)
+              for place in ({}, {"frame": 1}, {"read": 1}, {"seed": 1}, {"frame": 2**31})]
+    assert max(np.ptp(frame, axis=axis).max() for frame in frames) == 0
+    lines = np.array([frame.take(0, axis=axis) for frame in frames], np.float64) / 2
+    assert_standard_normal(lines[0])
+    correlation = np.corrcoef(lines)[np.triu_indices(len(lines), 1)]
+    assert np.abs(correlation).max() < SIGMAS / np.sqrt(lines.shape[1])
+
+
+def test_rows_columns_and_pixels_have_numbers_of_their_own():
+    square = np.zeros((512, 512))
+    of_rows, of_columns, of_pixels = (electrons(square, photon="none", **{f"{key}_noise": 1.0})
+                                      for key in ("row", "column", "read"))
+    assert abs((of_rows[:, 0] * of_columns[0]).mean()) < SIGMAS / np.sqrt(512)
+    for lines in (of_rows, of_columns):
+        assert abs((of_pixels.astype(np.float64) * lines).mean()) < SIGMAS / 512
+    together = electrons(square, photon="none", row_noise=1.0, column_noise=1.0, read_noise=1.0)
+    np.testing.assert_allclose(together, of_pixels + of_rows + of_columns, atol=8 * 2.0**-22)  # order of two sums
+
+
+@pytest.mark.parametrize("switching", [1.0, 0.3, 0.01])
+def test_telegraph_noise_jumps_between_two_values(switching):
+    frames, first = 24, 700  # long after the start, and in the middle of it
+    shape = 128, 128
+    state = electrons(np.zeros(shape), "opencl", amplitude=np.full(shape, 8.0, f32), photon="none", frame=first,
+                      frames=frames, telegraph_switching=switching) / 8
+    assert set(np.unique(state)) == {0, 1}
+    x = 2 * state.astype(np.float64) - 1
+    of_pixels = x.mean(axis=0)  # pixels are independent, frames are not
+    assert abs(of_pixels.mean()) < SIGMAS * of_pixels.std() / 128
+    for lag in (1, 2, 5, 20):
+        products = (x[lag:] * x[:-lag]).mean(axis=0)
+        assert products.mean() == pytest.approx((1 - switching) ** lag, abs=SIGMAS * products.std() / 128 + 1e-12)
+    for down, right in ((0, 1), (1, 0)):
+        assert abs((x[0, down:, right:] * x[0, : 128 - down, : 128 - right]).mean()) < SIGMAS / 127
+
+
+def test_telegraph_noise_is_as_strong_as_its_amplitude_and_spares_other_pixels():
+    amplitude = np.zeros((64, 64), f32)
+    amplitude[::2, 1::2] = np.arange(32)[:, None] + 1
+    low, high = (electrons(np.full((64, 64), 5.0), amplitude=amplitude, photon="none", frames=40)
+                 .astype(np.float64).__getattribute__(name)(axis=0) for name in ("min", "max"))
+    np.testing.assert_array_equal(low, 5)  # 2^-40 of 1024 pixels stay in one state
+    np.testing.assert_array_equal(high - low, amplitude)
+
+
+# ---------------------------------------------------------------- the complete chain
+
+
+SENSOR = Sensor(1e-6, QE, 1e5, 16, ("Y",), ("Y",), gain=0.5, analog_gain=4.0, analog_offset=50.0, black_level=400)
+GOOD = Noise(dark_current=20.0, temperature=33.0, read=2.0, reset=1.5, adc=4.0, row=0.5, column=0.4, prnu=0.05,
+             row_prnu=0.01, column_prnu=0.02, dsnu=3.0, row_dsnu=0.6, column_dsnu=0.7)
+BAD = replace(GOOD, hot_pixels=0.02, hot_current=100.0, dead_pixels=0.01, telegraph_pixels=0.1, telegraph=20.0,
+              telegraph_switching=0.5)
+
+
+def cumulants(chip, mean, seconds):
+    """Mean, variance and third central moment of a raw value [DN], over pixels, chips and frames.
+
+    Cumulants of independent parts are added. Poisson numbers of a varying mean L have the cumulants of L and, of the
+    second and third, its lower ones beside: k1, k2 + k1, k3 + 3 k2 + k1.
+    """
+    def central(first, second, third):
+        """Cumulants from moments about 0."""
+        return np.array([first, second - first**2, third - 3 * first * second + 2 * first**3])
+
+    def exponential(share, scale):
+        return central(*(share * factor * scale**order for order, factor in ((1, 1), (2, 2), (3, 6))))
+
+    response = chip.prnu**2 + chip.row_prnu**2 + chip.column_prnu**2
+    alive = 1 - chip.dead_pixels
+    seen = central(*(alive * np.array([mean, mean**2 * (1 + response), mean**3 * (1 + 3 * response)])))
+    warm = 2 * seconds  # 8 K above the reference
+    k1, k2, k3 = seen + exponential(chip.hot_pixels, chip.hot_current * warm) + [chip.dark_current * warm, 0, 0]
+    gain = 2.0
+    counted = np.array([k1, k2 + k1, k3 + 3 * k2 + k1])
+    normal = (chip.read**2 + chip.reset**2 + (chip.adc / gain) ** 2 + chip.row**2 + chip.column**2 + chip.dsnu**2
+              + chip.row_dsnu**2 + chip.column_dsnu**2 + 1 / (12 * gain**2))  # the last: rounding to whole DN
+    # a trap's upper state half of the time
+    jumps = exponential(chip.telegraph_pixels / 2, chip.telegraph)
+    total = counted + jumps + [50.0, normal, 0]
+    return total * [gain, gain**2, gain**3] + [400, 0, 0]
+
+
+@pytest.mark.parametrize(("chip", "photon", "mean", "errors"), [
+    # least errors that the tests can see: the mean's [DN], the others' relative; a chip's rows and columns limit them
+    (BAD, "fast", 600.0, (0.5, 0.005, 0.01)), (GOOD, "exact", 20.0, (0.1, 0.005, 0.06))], ids=["bad", "good"])
+def test_mean_variance_and_skewness_of_the_complete_chain(chip, photon, mean, errors):
+    seconds, size, chips = 0.5, 256, 40
+    device = open_device("opencl")
+    truth = cumulants(chip, mean, seconds)
+    moments = []
+    for seed in range(chips):
+        readout = Readout(replace(SENSOR, noise=replace(chip, photon=photon, seed=seed)), device)
+        expected = readout.expected(device.array(np.full((size, size), mean, f32)), seconds)
+        raw = device.numpy(readout.draw(expected, seconds, seed=seed, frame=100 + seed)).astype(np.float64)
+        assert raw.min() > 0
+        assert raw.max() < 65535
+        # about the true mean: what rows and columns have in common biases moments about the sample's own
+        x = raw - truth[0]
+        moments.append([x.mean(), (x**2).mean(), (x**3).mean()])
+    # chips are independent, so the spread of their moments is the error of the average
+    for values, true, least in zip(np.transpose(moments), [0, *truth[1:]], errors * np.abs([1, *truth[1:]]),
+                                   strict=True):
+        assert stats.ttest_1samp(values, true).pvalue > ALPHA
+        assert values.std() / np.sqrt(chips) < least  # or it would not see that a part is missing
 
 
 def test_all_parameters_are_recovered_from_two_frames():
-    level, dark, read, prnu, dsnu, gain, black = 2000.0, 30.0, 12.0, 0.02, 25.0, 2.0, 512.0
-    first, second = (noise(np.full((512, 512), level, f32), dark_electrons=dark, read_noise=read, prnu=prnu, dsnu=dsnu,
-                           full_well=1e5, gain=gain, black_level=black, white_level=65535, frame=frame, device="numpy")
-                     .astype(np.float64).ravel() for frame in (0, 1))
-    n, fixed = first.size, (prnu * level) ** 2 + dsnu**2
+    level, black, gain = 2000.0, 512, 2.0
+    chip = Noise(dark_current=30.0, read=12.0, prnu=0.02, dsnu=25.0, seed=5)
+    device = open_device("numpy")
+    sensor = replace(SENSOR, gain=gain, analog_gain=1.0, analog_offset=0.0, black_level=black, noise=chip)
+    readout = Readout(sensor, device)
+    expected = readout.expected(np.full((512, 512), level, f32), 1.0)
+    first, second = (readout.draw(expected, 1.0, frame=frame).astype(np.float64).ravel() for frame in (0, 1))
+    n, fixed = first.size, (chip.prnu * level) ** 2 + chip.dsnu**2
     # EMVA 1288: differences of frames hold the temporal variance, their covariance the fixed one; 1/12 is the rounding
-    temporal = level + dark + read**2 + 1 / (12 * gain**2)
+    temporal = level + chip.dark_current + chip.read**2 + 1 / (12 * gain**2)
     error = SIGMAS * np.sqrt(2 / n)  # relative error of a variance
     assert ((first - second) ** 2).mean() / 2 / gain**2 == pytest.approx(temporal, rel=error)
     assert np.cov(first, second)[0, 1] / gain**2 == pytest.approx(fixed, abs=error * (fixed + temporal))
-    assert (first.mean() - black) / gain == pytest.approx(level + dark, abs=SIGMAS * np.sqrt((fixed + temporal) / n))
+    expected_mean = pytest.approx(level + chip.dark_current, abs=SIGMAS * np.sqrt((fixed + temporal) / n))
+    assert (first.mean() - black) / gain == expected_mean
 
 
-def test_dark_electrons_are_poisson_and_untouched_by_prnu():
-    check(electrons(np.zeros((512, 512)), dark_electrons=4.0, prnu=0.5), 4.0)
-    total = electrons(np.zeros((1024, 1024)), dark_electrons=1e-4).sum()
-    expected = stats.poisson(1e-4 * 2**20)
-    assert min(expected.cdf(total), expected.sf(total - 1)) > ALPHA
+def test_patterns_belong_to_the_chip_and_temporal_noise_to_the_frame():
+    device = open_device("numpy")
+    mean = np.full((8, 9), 50.0, f32)
+
+    def draw(chip, **place):
+        readout = Readout(replace(SENSOR, bits=32, noise=chip), device)
+        return readout.draw(readout.expected(mean, 1.0), 1.0, **place)
+
+    fixed = Noise(photon="none", prnu=0.1, dsnu=1.0)
+    np.testing.assert_array_equal(draw(fixed, frame=1, seed=2), draw(fixed, frame=7))
+    assert not np.any(draw(fixed) == draw(replace(fixed, seed=2**32)))  # its high half
+    temporal = Noise(read=1.0)
+    np.testing.assert_array_equal(draw(temporal, frame=3), draw(replace(temporal, seed=8), frame=3))
+    assert not np.any(draw(Noise(photon="none", read=1.0)) == draw(Noise(photon="none", read=1.0), seed=2**32))
 
 
-# ---------------------------------------------------------------- order, converter, hard cases
+def test_what_is_off_costs_no_launch(monkeypatch):
+    device = open_device("warp:cpu")
+    launched = []
+    launch = device.launch
+    monkeypatch.setattr(device, "launch", lambda stage, kernel, *rest, **options: (
+        launched.append(kernel), launch(stage, kernel, *rest, **options)))
+    readout = Readout(replace(SENSOR, noise=Noise(photon="none")), device)
+    mean = device.array(np.full((4, 5), 9.0, f32))
+    readout.draw(readout.expected(mean, 1.0), 1.0)
+    assert launched == ["noise"]
+    assert set(readout.models()) == {"sensor.noise"}
 
 
-def test_the_well_saturates_before_read_noise_is_added():
-    e = electrons(np.full((256, 256), 1e4), full_well=100.0, read_noise=5.0)
-    assert e.mean() == pytest.approx(100, abs=SIGMAS * 5 / 256)
-    assert e.std() == pytest.approx(5, rel=SIGMAS * np.sqrt(0.5) / 256)
-    assert (e > 100).mean() == pytest.approx(0.5, abs=SIGMAS * 0.5 / 256)  # a clip after it would give none
-
-
-@pytest.mark.parametrize("gain", [10.0, 0.1])  # 0.1 and 10 e-/DN
-def test_the_converter_rounds_without_bias(gain):
-    steps = 100
-    ramp = (np.arange(2**18) + 0.5).reshape(512, 512) * steps / 2**18 / gain  # exactly 100 DN long
-    dn = noise(ramp.astype(f32), **IDEAL | {"gain": gain}, black_level=64, photon_noise=False, device="numpy")
-    error = dn - (gain * ramp + 64)
-    assert abs(error.mean()) < 1e-3  # a float32 level near 164 is within 2^-17 of the exact one
-    assert np.abs(error).max() < 0.5 + 2.0**-16
+# ---------------------------------------------------------------- converter and refusals
 
 
 def test_halves_go_to_the_even_number_and_levels_are_clipped():
     mean = np.array([[0.5, 1.5, 2.5, 300.0, 1e9]])
-    dn = noise(mean, **IDEAL | {"white_level": 255}, photon_noise=False, device="numpy")
+    dn = noise(mean, **IDEAL | {"white_level": 255}, photon="none", device="numpy")
     np.testing.assert_array_equal(dn, [[0, 2, 2, 255, 255]])
     assert dn.dtype == np.uint16
 
 
-@pytest.mark.parametrize("name", ["numpy", *DEVICES])
-def test_impossible_means(name):
-    mean = np.full((4, 5), 20.0)
-    usual = electrons(mean, name, full_well=1e4)
-    bad = mean.copy()
-    bad[1, :4] = np.nan, np.inf, -np.inf, -1.0
-    e = electrons(bad, name, full_well=1e4)
-    np.testing.assert_array_equal(e[1, :4], [np.nan, 1e4, 0, 0])
-    np.testing.assert_array_equal(np.delete(e, 1, axis=0), np.delete(usual, 1, axis=0))
-    dn = noise(bad.astype(f32), **IDEAL | {"full_well": 1e4}, black_level=64, device=name)
-    np.testing.assert_array_equal(dn[1, :4], [0, 1e4 + 64, 64, 64])
+def test_without_a_converter_levels_are_neither_rounded_nor_clipped():
+    mean = np.array([[0.5, 1.25, 1e6]])
+    dn = noise(mean, **IDEAL | {"white_level": None, "gain": 2.0}, black_level=-3.0, photon="none", device="numpy")
+    np.testing.assert_array_equal(dn, [[-2.0, -0.5, 2e6 - 3]])
+    assert dn.dtype == f32
 
 
-@pytest.mark.parametrize(("key", "value"), [("read_noise", -1.0), ("prnu", np.nan), ("full_well", 0.0), ("gain", 0.0),
-                                            ("white_level", 65536), ("seed", 2**64), ("frame", -1)])
-def test_numbers_out_of_range_are_named(key, value):
-    with pytest.raises(OutOfRange, match=key):
+@pytest.mark.parametrize(("key", "value", "error"), [
+    ("read_noise", -1.0, OutOfRange), ("row_noise", np.nan, OutOfRange), ("column_noise", np.inf, OutOfRange),
+    ("dark_electrons", -1e-9, OutOfRange), ("full_well", 0.0, OutOfRange), ("full_well", np.nan, OutOfRange),
+    ("gain", 0.0, OutOfRange), ("white_level", 65536, OutOfRange), ("black_level", np.nan, OutOfRange),
+    ("telegraph_switching", 0.0, OutOfRange), ("seed", 2**64, OutOfRange), ("frame", -1, OutOfRange),
+    ("read", 2**31, OutOfRange), ("frames", 0, OutOfRange), ("photon", "poisson", UnknownName),
+    ("offset", np.zeros((2, 3), f32), BadData), ("amplitude", np.zeros((3, 2), f32), BadData)])
+def test_numbers_out_of_range_are_named(key, value, error):
+    with pytest.raises(error, match=key):
         electrons(np.zeros((2, 2)), DEVICES[0], **{key: value})
+
+
+@pytest.mark.parametrize("place", [{"first": (-1, 0)}, {"first": (0, 3), "frame_cols": 4}])
+def test_a_tile_outside_its_frame_is_refused(place):
+    with pytest.raises(OutOfRange, match="frame_cols"):
+        electrons(np.zeros((2, 2)), DEVICES[0], **place)
+
+
+def test_exact_photons_need_float64(monkeypatch):
+    device = open_device("opencl")
+    monkeypatch.setattr(device, "has_fp64", False)
+    with pytest.raises(DeviceError, match="float64"):
+        electrons(np.zeros((2, 2)), device, photon="exact")

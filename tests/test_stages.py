@@ -32,7 +32,7 @@ def test_stage_is_complete(stage):
     for suffix in (".py", "_ref.py", ".cl", "_warp.py"):
         assert Path(f"{path}{suffix}").exists()
     assert list(stage_module(stage).cases())
-    patterns = {".cl": r"__kernel void (\w+)\(", "_warp.py": r"@wp\.kernel[^\n]*\ndef (\w+)\("}
+    patterns = {".cl": r"__kernel void (\w+)\(", "_warp.py": r"@wp\.kernel[^\n]*\n\s*def (\w+)\("}
     names = [set(re.findall(pattern, Path(f"{path}{suffix}").read_text())) for suffix, pattern in patterns.items()]
     launched = set(re.findall(r"device\.launch\(\s*\"[\w.]+\",\s*\"(\w+)\"", Path(f"{path}.py").read_text()))
     assert names[0] & names[1] or not launched
