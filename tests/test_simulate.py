@@ -272,7 +272,7 @@ BAD = [
     (["negative.npz"], "radiance cannot be negative"),
     (["margin.npz"], "scene.margin = -5"),
     (["huge.npz"], "more than float32 holds"),
-    (["elsewhere.npz"], "no overlap"),
+    (["elsewhere.npz"], "sees none of its light"),
 ]
 
 
