@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL, ALL_KINDS, DEVICES
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.bin import bin, binned_shape
@@ -71,7 +71,7 @@ def brute(pixels, binning, stride):
     return out
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize(("rows", "cols"), [(12, 24), (13, 25), (47, 35), (12, 31)])
 def test_odd_sizes_leave_the_rest_out(rows, cols, device):
     """Against a plain loop; charges are whole numbers below 2^24, so their sums are exact in any order."""
@@ -89,7 +89,7 @@ def test_odd_sizes_leave_the_rest_out(rows, cols, device):
         np.testing.assert_array_equal(sums, np.minimum(wanted, 65535))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_all_phases_by_mirror_images(device):
     """A mirrored frame has a mirrored mosaic and must give the mirrored result; whole numbers, so the order is free."""
     frame = np.random.default_rng(1).integers(0, 4096, (24, 36)).astype(np.float32)
@@ -102,7 +102,7 @@ def test_all_phases_by_mirror_images(device):
     np.testing.assert_array_equal(turned.T, bin(frame, binning=(2, 2), stride=(2, 2), device=device))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_charge_is_conserved(device):
     charges = np.random.default_rng(2).uniform(0, 1e4, (96, 120)).astype(np.float32)
     for binning, stride in (((2, 2), (2, 2)), ((3, 3), (2, 2)), ((8, 2), (1, 1)), ((2, 2), (6, 6)), ((4, 3), (4, 2))):
@@ -129,7 +129,7 @@ def test_charges_have_the_same_bits_everywhere_and_those_of_their_order():
         assert bin(hand, binning=(2, 2), device=device).tolist() == [[2.0**25]]
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("binning", [(1, 2), (2, 2), (3, 2), (5, 2), (7, 7), (7, 8), (8, 8)])
 def test_means_round_to_nearest_halves_to_even(binning, device):
     """m of n pixels one higher than the others, m = 0 .. n, at both ends of 16 bits: exact fractions decide."""
@@ -141,7 +141,7 @@ def test_means_round_to_nearest_halves_to_even(binning, device):
         assert bin(frame, binning=binning, average=True, device=device).tolist() == [wanted]
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_means_of_numbers_have_no_bias(device):
     numbers = np.random.default_rng(4).integers(0, 1024, (1024, 1024), np.uint16)
     error = bin(numbers, binning=(2, 2), stride=(2, 2), average=True, device=device).mean() - numbers.mean()
@@ -149,7 +149,7 @@ def test_means_of_numbers_have_no_bias(device):
     assert abs(error) < 5 * np.sqrt(3 / 32 / (numbers.size / 4))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_sums_of_numbers_stop_at_the_largest(device):
     frame = np.array([[16383, 16384, 16384, 16384, 65535, 65535], [16384, 16384, 16384, 16384, 65535, 65535]],
                      np.uint16)
@@ -158,7 +158,7 @@ def test_sums_of_numbers_stop_at_the_largest(device):
     assert bin(frame, binning=(2, 2), device=device).tolist() == [[65534, 65535, 65535]]
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_black_and_white_keep_their_place(device):
     """A dark frame bins to the black level, a saturated one to the white level, as the planner tells them."""
     for black, white in ((64, 1023), (512, 4095), (512, 16383)):
@@ -174,7 +174,7 @@ def test_black_and_white_keep_their_place(device):
         binned_levels(1024, 4095, (8, 8), False)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_what_cannot_be_binned_is_refused(device):
     frame = np.ones((3, 40), np.float32)
     with pytest.raises(OutOfRange, match="at least 4x4"):

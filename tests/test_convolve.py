@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, DEVICES, KINDS
 from scipy import ndimage
 
 from gpusim.domain.errors import BadData, UnknownName
@@ -22,7 +22,7 @@ def truth(plane, kernel, border):
     return ndimage.convolve(plane.astype(float), kernel.astype(float), mode=MODES[border])
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("border", MODES)
 @pytest.mark.parametrize("height", [1e6, 1e9])
 def test_exact_mode_beside_highlights(device, border, height):
@@ -37,7 +37,7 @@ def test_exact_mode_beside_highlights(device, border, height):
         assert np.abs(result / expected - 1).max() <= 1e-6
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_single_precision_errs_only_where_the_highlight_reaches(device):
     plane = random.uniform(0.5, 1.5, (64, 100)).astype(np.float32)
     kernel = psf(15, 2.0).astype(np.float32)
@@ -52,7 +52,7 @@ def test_single_precision_errs_only_where_the_highlight_reaches(device):
     assert np.abs(loud / expected - 1).max() <= 3.6e-6
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_energy_and_flat_fields(device, precision):
     """A flat field keeps its value under "edge" and "reflect"; a point in the middle keeps its sum."""
@@ -69,7 +69,7 @@ def test_energy_and_flat_fields(device, precision):
     assert np.allclose(result[0, 13:28, 28:43], kernel, rtol=2e-7, atol=0)  # two roundings to float32; not mirrored
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_each_plane_its_own_kernel_of_unequal_sides(device):
     planes = random.random((3, 37, 50), np.float32)
     kernels = random.random((3, 9, 21)) / 189
@@ -80,7 +80,7 @@ def test_each_plane_its_own_kernel_of_unequal_sides(device):
             assert np.abs(out / expected - 1).max() <= tolerance
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("kernels, words", [
     (np.ones((1, 0, 3)), ["(1, 0, 3)", "zero"]),
     (np.ones((1, 4, 3)), ["4 x 3", "odd"]),
@@ -107,7 +107,7 @@ def test_unknown_options_are_refused():
         convolve(np.ones((1, 0, 5), np.float32), kernels, device=DEVICES[0])
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_negative_kernels_are_allowed(device):
     """Weighted planes have kernels with negative parts; whether a PSF may be negative is asked where it is read."""
     plane = random.random((1, 30, 30), np.float32)

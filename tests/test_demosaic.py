@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import ALL
+from devices import ALL_KINDS
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.kernels.processor.adaptive import adaptive
@@ -28,7 +28,7 @@ def noise(rows, cols, seed=1):
 
 
 @pytest.mark.parametrize("phase", RED)
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_bilinear_is_that_of_colour_demosaicing(phase, device):
     from colour_demosaicing import demosaicing_CFA_Bayer_bilinear
 
@@ -41,7 +41,7 @@ def test_bilinear_is_that_of_colour_demosaicing(phase, device):
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
 @pytest.mark.parametrize("phase", RED)
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_border_is_the_mirrored_mosaic(method, phase, device):
     """A frame demosaicked alone is the inside of its mirrored surroundings, whatever its size."""
     for rows, cols in SIZES[3:]:
@@ -53,7 +53,7 @@ def test_border_is_the_mirrored_mosaic(method, phase, device):
 
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_flat_field_stays_flat_at_any_size(method, device):
     for shape in SIZES:
         for phase in RED:
@@ -63,7 +63,7 @@ def test_flat_field_stays_flat_at_any_size(method, device):
 
 
 @pytest.mark.parametrize("method", [bilinear, adaptive])
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_measured_samples_are_kept(method, device):
     for phase in RED:
         raw = noise(9, 10)
@@ -72,7 +72,7 @@ def test_measured_samples_are_kept(method, device):
 
 
 @pytest.mark.parametrize("options", [{}, {"domain": "linear"}], ids=["root", "linear"])
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
     """No direction and no phase is preferred: the four phases and the transpose are mirror images of each other.
 
@@ -89,14 +89,14 @@ def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
     np.testing.assert_allclose(transposed.transpose(0, 2, 1), straight, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_red_and_blue_are_treated_alike(device):
     raw = noise(20, 21)
     np.testing.assert_array_equal(adaptive(raw, phase="RGGB", **PLAIN, device=device)[::-1],
                                   adaptive(raw, phase="BGGR", **PLAIN, device=device))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_brightness_does_not_matter(device):
     """Four times the exposure gives four times the picture: thresholds follow the scale."""
     raw = noise(20, 21)
@@ -107,7 +107,7 @@ def test_brightness_does_not_matter(device):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_gray_edge_has_no_zipper(axis, device):
     """Across a step of 1000 DN the weight of the wrong direction is t^2 / (s^2 + 2 t^2) < 3.1e-4 (t = 17.5, s >= 1000).
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from brute import relative
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, DEVICES, KINDS
 from scipy.signal import fftconvolve
 
 import gpusim
@@ -127,7 +127,7 @@ def edge_scene():
 ORDERS = {"near sharp, far 8 px": (0.0, 8.0), "near 8 px, far sharp": (-8.0, 0.0)}
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("order", ORDERS)
 def test_hard_case_16_layers_are_right(order, device):
     """Known layers: 1e-3 is asked for. With one in focus the composite is exact: transmission or background is then
@@ -257,7 +257,7 @@ def two_layers(alpha=None):
     return scene_of(back, np.full(back.shape, far), layers=(front,))
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_layers_that_a_scene_gives(device):
     """Electrons of a scene of two layers, against sums of blurred bands in float64 by other means."""
     scene, cam = two_layers(), camera()
@@ -285,7 +285,7 @@ def test_layers_that_a_scene_gives(device):
     assert relative(np.array(simulator.device.numpy(result.mean)), total) < 1e-3
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_a_frame_by_depth(device, tmp_path):
     """From a file to the report, on every device: which way, with what error, and nothing about depth left out."""
     disc, front, back = edge_scene()

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from devices import DEVICES
+from devices import DEVICES, KINDS
 from lenses import MILD, STRONG, Q, kernel, natural, scattered, scattered_at, seidel_lens, spread
 
 from gpusim.backends import open_device
@@ -27,7 +27,7 @@ def blurred(plane, blur, device, border="reflect", **more):
     return field(**inputs, device=open_device(device))[0]
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("border", ["zero", "edge", "reflect"])
 def test_a_kernel_at_every_pixel_is_the_brute_force(device, border):
     """Nodes at every pixel leave no interpolation: what remains is float32, 2.5e-7 rms of the tile, 5 sigmas, twice."""
@@ -110,7 +110,7 @@ def seam(shape, blur, device):
     return largest
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("method", ["quadratic", "cubic", "eigen"])
 def test_case_15_no_seams(device, method):
     """Second differences stay below 1e-4 (the hard case's bound), on a frame so small that the field varies fast."""
@@ -159,7 +159,7 @@ def coma_by_field_height(shape, size):
     return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9), fft_length)  # nodes 20 pixels apart
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_case_14_coma_in_four_quadrants(device):
     """Points near the four corners, spreads by field height: centroids within 0.02 pixel, mirror images to 1e-5."""
     shape, size = (121, 161), 25
@@ -197,7 +197,7 @@ def test_spreads_by_field_height_turn_before_the_pixel(waves, heights, bound):
     assert np.abs(kernels.sum(axis=(2, 3)) - 1).max() < 1e-12
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_highlights_are_spread_directly(device):
     """Points of 1e6 on 1e-3: beside them, local error 1e-3 and nothing negative (hard case 1 for a varying field).
 

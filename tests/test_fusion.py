@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brute import Brute, relative, spectra
-from devices import DEVICES
+from devices import KINDS
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
@@ -68,7 +68,7 @@ def natural(size, seed=1, surfaces="objects", light="D65"):
 LINES = {3: 1.2e-3, 4: 4e-4, 6: 1e-5}  # relative RMS errors that the ranks have to keep
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_ranks_keep_their_errors(device):
     """On the device, float32, through the stages that a frame takes; truth in float64 band by band."""
     scene = natural((384, 256))
@@ -76,7 +76,7 @@ def test_ranks_keep_their_errors(device):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_ranks_keep_their_errors_in_a_full_frame(device):
     check_lines(natural((1920, 1080)), device)
 
@@ -203,7 +203,7 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
     assert (np.abs(fused - exact) <= 1e-9 * np.abs(exact).max(axis=1, keepdims=True)).all()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_flat_frames_are_exact_in_every_plan(device):
     """Electrons of a flat frame to 1e-6 (float32 transforms: 2.5e-7) in the plans of all tolerances."""
     for spectrum in (np.eye(31)[15], reflectances("munsell").at(WAVELENGTHS)[7], 1 + np.cos(WAVELENGTHS / 7)):
@@ -222,7 +222,7 @@ def test_flat_frames_are_exact_in_every_plan(device):
                 np.testing.assert_allclose(mean, exact, rtol=1e-6)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("tolerance", ["video", "1e-3", *(
     pytest.param(other, marks=pytest.mark.slow) for other in ("preview", "metrology", "1e-5"))])
 def test_plans_meet_their_tolerance(device, tolerance):

@@ -12,7 +12,7 @@ import functools
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, KINDS
 
 from gpusim.domain.pupil import Pupil, noll
 from gpusim.kernels.optics.airy import airy
@@ -44,7 +44,7 @@ def single(value):
     return float(np.float32(value))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize(("f_number", "pitch"), [(1.8, 4e-6), (1.8, 1.4e-6), (2.8, 1.4e-6), (8, 1.4e-6), (16, 1.4e-6)])
 def test_airy_images(f_number, pitch, device):
     """550 nm, Q = .25 .. 6.3, within 1e-5 of the peak (the issue's figure).
@@ -58,7 +58,7 @@ def test_airy_images(f_number, pitch, device):
     assert np.abs(found - wanted).max() < 1e-5 * wanted.max()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize(("q", "hole"), [(0.7, 0.5), (1.1, 0.3), (3.0, 0.1)])
 def test_images_of_an_obscured_pupil(q, hole, device):
     """The ring's transform is analytic in GalSim too, three overlaps of circles: 1e-5 of the peak."""
@@ -94,7 +94,7 @@ def aberrated(q, zernike):
                                     gsparams=accurate))
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("zernike", [((4, 0.2),), ((4, 0.1), (7, 0.1), (11, 0.05))])
 def test_images_of_an_aberrated_pupil(zernike, device):
     """Defocus; defocus, coma and spherical aberration (Noll's numbers, waves RMS): 1e-4 of the peak.

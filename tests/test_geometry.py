@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import DEVICES
+from devices import KINDS
 
 from gpusim.backends import open_device
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
@@ -62,7 +62,7 @@ def test_the_grid_keeps_the_error_that_it_states(lens):
     assert np.abs(found - wanted).max() <= 2.5 * grid.error[0] + 1e-12
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_case_30_energy_per_solid_angle_at_100_degrees(device):
     """cos^4 illumination, then a barrel down to an equal-area image: energy in rings of field angle to 1e-3, no holes.
 
@@ -97,7 +97,7 @@ def test_case_30_energy_per_solid_angle_at_100_degrees(device):
             previous = energy
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_area_weighting_conserves_every_point(device):
     """White noise and points of 1e6 well inside the frame: the energy that arrives is what was sent.
 
@@ -117,7 +117,7 @@ def test_area_weighting_conserves_every_point(device):
     assert image.sum(dtype=np.float64) == pytest.approx(plane.sum(dtype=np.float64), rel=1e-6)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("method", ["cubic", "area"])
 def test_lateral_colour_moves_planes_apart(device, method):
     """Two planes at scales 1 and 1.02: a spot's centroid moves by 2 % of its field height, its energy stays."""
@@ -182,7 +182,7 @@ def test_bad_tables_are_refused():
         relative_illumination(([0.0, 0.5], [1.0, 0.9]), (8, 8), PITCH, 1e-3)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_falloff_of_lens_and_microlenses(device):
     """A quadratic lens and microlenses of cosine response, matched half-way: the product, pixel by pixel."""
     shape, pupil = (31, 41), 60e-6

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brute import Brute, relative, spectra
-from devices import DEVICES
+from devices import KINDS
 from scipy.integrate import dblquad
 from test_fusion import CAMERA, WAVELENGTHS, as_cube, library, made_for, natural, response_of
 
@@ -84,7 +84,7 @@ def test_the_kernels_of_points_are_integrals_over_the_pixel():
             assert abs(far - exact) < 1e-3 * exact
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("tolerance", [None, Tolerance(rms=1e-4)])
 @pytest.mark.parametrize("level", [1e6, 1e9])
 def test_hard_01_highlight_in_the_dark(device, tolerance, level):
@@ -97,7 +97,7 @@ def test_hard_01_highlight_in_the_dark(device, tolerance, level):
     assert (np.abs(mean - truth) / truth).max() <= 1e-3
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("tolerance", [None, "metrology"])
 def test_hard_02_coloured_highlights_on_a_natural_background(device, tolerance):
     """20 narrow-band points of 1e4 .. 1e6 of the median: <= 0.1 sigma where the background has 2000 e-."""
@@ -121,7 +121,7 @@ def test_hard_02_coloured_highlights_on_a_natural_background(device, tolerance):
     assert sigmas.max() <= 0.1
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("border", ["zero", "edge", "reflect"])
 def test_hard_03_highlight_in_the_corner_does_not_wrap(device, border):
     """The far sides stay as if there were no far side, and the border rule goes on with the background alone."""
@@ -139,7 +139,7 @@ def test_hard_03_highlight_in_the_corner_does_not_wrap(device, border):
         np.testing.assert_allclose(mean[side], (dark + points)[side], rtol=1e-3)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_03_highlight_one_pixel_outside(device):
     """In the surroundings of a scene: its kernel reaches in, it is in no pixel, and nothing wraps."""
     values = with_points(np.full((60, 80), 1e-3), [(9, 30)], [1e6], [None])
@@ -150,7 +150,7 @@ def test_hard_03_highlight_one_pixel_outside(device):
     assert (np.abs(mean - truth) / truth).max() <= 1e-3
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_04_energy_of_a_frame_is_kept(device):
     """A dark-bordered scene far from the edges: all electrons arrive, to 1e-6, whatever the rank."""
     values = np.zeros((31, 256, 256), np.float32)
@@ -206,7 +206,7 @@ def test_hard_08_monochromatic_sweep_of_a_point():
         assert prior.predicted(rank, own) > 5 * prior.tail[rank]  # says that it is outside
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_12_red_and_blue_edge(device):
     """Red and blue of equal electrons in green, side by side: <= 0.05 sigma at rank 6, 2000 e- in green."""
     red, blue = (1 / (1 + np.exp(-sign * (WAVELENGTHS - at) / 12)) + 0.02 for sign, at in ((1, 590), (-1, 490)))
@@ -227,7 +227,7 @@ def test_hard_12_red_and_blue_edge(device):
     assert (np.abs(result - truth) / np.sqrt(truth)).max() <= 0.05
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("cfa", [[[0, 1], [1, 2]], [[1, 0], [2, 1]], [[1, 2], [0, 1]], [[2, 1], [1, 0]],
                                  [[0, 1, 2]], pytest.param([[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 2, 2], [1, 1, 2, 2]],
                                                            marks=pytest.mark.slow),
@@ -276,7 +276,7 @@ def test_hard_18_rank_above_the_numerical_rank():
             lowest = min(lowest, error)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_24_range_of_thirteen_decades(device):
     """Planes of 1e-7 .. 1e6 stay finite, and the dark is right to 1e-3."""
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
@@ -287,7 +287,7 @@ def test_hard_24_range_of_thirteen_decades(device):
     assert (np.abs(mean - truth) / truth).max() <= 1e-3
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_09_moved_points_on_coarse_pixels(device):
     """f/1.8, 4 um (Q = .25): flux to 1e-4 at all phases, kernels to 1e-3 of the peak, at nine phases and all pixels.
 
@@ -312,7 +312,7 @@ def test_hard_09_moved_points_on_coarse_pixels(device):
         assert np.abs(image - truth).max() < 1e-3 * truth.max()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_hard_10_blur_wider_than_a_tile(device):
     """f/16, 1.0 um (Q = 6 .. 11): tiles of 24 pixels, cut with the surroundings that they see, make the frame to 1e-5.
 

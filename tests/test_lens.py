@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from devices import DEVICES
+from devices import DEVICES, KINDS
 
 import gpusim as gs
 from gpusim.domain.distortion import RadialPolynomial, ideal
@@ -202,7 +202,7 @@ def gaussian(sigma, size=41, shift=0.0):
     return np.exp(-((x - shift) ** 2 + y**2) / (2 * sigma**2))
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_measured_point_spreads_over_the_field(device):
     """Gaussians that widen toward the corner: a point's image has the variance of its place, plus the pixel's 1/12.
 
@@ -247,7 +247,7 @@ def test_measured_grids_take_the_place():
         lens.kernels(BANDS, (0.0, 1.5), 51)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("model", ["diffraction", "none"])
 def test_distortion_moves_points_and_keeps_flux(device, model):
     """A smooth blob off the axis arrives where the polynomial says, with its energy times the local area.
@@ -284,7 +284,7 @@ def test_distortion_inverts():
     np.testing.assert_allclose(lens.distorted(*ideal(lens, x, y)), (x, y), atol=1e-12)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_relative_illumination_and_microlenses(device):
     """A polynomial of the field height and a linear microlens response multiply; float32 rounds by 2e-7 a factor."""
     shape, pitch = (48, 64), PITCH
@@ -301,7 +301,7 @@ def test_relative_illumination_and_microlenses(device):
     np.testing.assert_allclose(ratio, wanted, rtol=1e-6)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("content", ["cube", "leaves"])
 def test_frames_without_transforms(device, content):
     """Against the same frame by transforms: the pyramid's 3e-4, and the border's part, which is the same for both."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from devices import DEVICES
+from devices import KINDS
 from scipy.optimize import brentq
 
 from gpusim.data.cameras import open_camera
@@ -106,7 +106,7 @@ def picture(q, fill, fine, device):
     return image, 550e-9 * exposure.plan.camera.optics.working_f_number / sensor.pixel_pitch
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize(("q", "fill", "fine"), [(0.5, 1.0, 1), (1.1, 1.0, 1), (1.1, 0.5, 1), (2.2, 1.0, 1),
                                                  (3.14, 0.75, 1), (1.1, 1.0, 2)])
 def test_hard_11_mtf50_of_a_slanted_edge(q, fill, fine, device):

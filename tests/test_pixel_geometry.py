@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, KINDS
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erf, j1
 
@@ -61,7 +61,7 @@ def airy_energy(q, height, width, y, x):
     return weights @ (np.pi / (4 * q * q) * (2 * j1(v) / v) ** 2) @ weights
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize(("q", "aperture", "aside"), [
     (1.1, OBLONG, (0, 0)), (0.71, OBLONG, ASIDE), (0.3, (0.4, 0.6), (-0.3, 0.2)), (2.5, (1.0, 1.0), (0.5, 0.5)),
     (0.9, (0.8, 0.8), (-2.0, 1.25))])
@@ -87,7 +87,7 @@ def test_image_of_a_point_is_the_airy_pattern_integrated_over_its_rectangles(q, 
     assert np.abs(found - truth).max() <= 1e-5 * truth.max()
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_the_pixel_alone_passes_a_sinc_along_each_axis(device):
     """At q = 2 and more nothing folds: the table is O times sinc(fy) along y and sinc(fx / 2) along x, |f| < 1/2.
 
@@ -187,7 +187,7 @@ def test_a_grid_displaced_by_whole_pixels_takes_the_same_picture_elsewhere(path,
     assert np.sqrt(np.mean(opposite**2)) > 0.05 * middle.max()
 
 
-@pytest.mark.parametrize("device", ALL[:2])
+@pytest.mark.parametrize("device", ALL_KINDS[:2])
 def test_captures_interleave_to_the_picture_of_a_finer_sensor(device):
     """Photodetectors of half the pitch at +- 1/4: four captures are the pixels of a sensor of half the pitch.
 
@@ -204,7 +204,7 @@ def test_captures_interleave_to_the_picture_of_a_finer_sensor(device):
     assert np.abs(coarse - fine).max() <= (1e-12 if device == "numpy" else 4e-6) * fine.max()
 
 
-@pytest.mark.parametrize("device", ALL[:2])
+@pytest.mark.parametrize("device", ALL_KINDS[:2])
 def test_displaced_pixels_see_points_as_finer_pixels_do(device):
     """Points in the middle of pixels, by photodetectors of a third of the pitch in four of nine places.
 
@@ -229,7 +229,7 @@ def test_displaced_pixels_see_points_as_finer_pixels_do(device):
         assert np.abs(coarse - fine[y::3, x::3]).max() <= 1.5e-5 * fine.max()
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize(("ratio", "aperture", "aside"), [
     (1, (1.0, 1.0), (2.0, -3.0)), (2, (1.0, 0.5), (0.25, -0.5)), (2, (0.5, 1.0), (-1.75, 2.5))])
 @pytest.mark.parametrize("border", ["edge", "reflect", "zero"])
@@ -267,7 +267,7 @@ def test_flat_scenes_are_flat_behind_any_rectangle():
         np.testing.assert_allclose(mean(scene, made, reach=16), 0.01 * float(np.float32(0.3)) * weights, rtol=6e-8)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_vignetting_is_bilinear_from_edge_to_edge(device):
     """A flat field is the map, by SciPy's interpolation at the pixels' places; float32: 2 ulp."""
     map_ = np.random.default_rng(2).random((3, 4)) + 0.1

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import ALL
+from devices import ALL_KINDS
 from scipy.integrate import dblquad
 from scipy.optimize import brentq
 from scipy.special import j1
@@ -152,7 +152,7 @@ def test_mtf50_of_the_lens_of_figure_8():
 
 # ---- the tables
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_tables_of_the_clear_circle_equal_the_airy_stage(device):
     """Two different interpolations of one function, each to 1e-6 (see their cases)."""
     q = np.array([0.4, 0.99, 3.0], np.float32)
@@ -160,7 +160,7 @@ def test_tables_of_the_clear_circle_equal_the_airy_stage(device):
                                airy(q, 0.9, 20, 33, device=device), atol=2e-6)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("outline", [CLEAR, Pupil(0, 0.4), Pupil(6, 0, 0.2), Pupil(5, 0.2, 0.1)])
 def test_energy_is_kept(outline, device):
     """T(0) = 1: O(0) = 1 is a node and at integer frequencies sinc is 0 to float32 rounding."""
@@ -190,7 +190,7 @@ def test_tables_of_a_frame_against_the_integral(waves):
         assert abs(tables[i, j] - (total if complex_ else total.real)) < 3e-5
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_coma_in_four_quadrants(device):
     """Hard case 14: images of the four corners are mirror images to 1e-5 of the peak; the centroid is the slope's.
 
@@ -210,7 +210,7 @@ def test_coma_in_four_quadrants(device):
     assert abs(centroid_y + 2 * q * 0.7 * np.sin(azimuth)) < 0.02
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("move", [(0.3, -0.2), (0.5, 0.5)])
 def test_moved_point_on_coarse_pixels(device, move):
     """Hard case 9: f/1.8, 4 um (Q = .25): flux to 1e-4, kernel to 1e-3 of the peak, by integration of Airy's pattern.
@@ -237,7 +237,7 @@ def test_moved_point_on_coarse_pixels(device, move):
     assert abs(image.sum() - 1) < 2e-3
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize(("outline", "waves"), [(CLEAR, defocus(1.5)), (CLEAR, COMA.polynomial(1.0, 0.6)[None]),
                                                 (Pupil(6, 0, 0.3), FLAT)])
 def test_no_ringing(outline, waves, device):
@@ -250,7 +250,7 @@ def test_no_ringing(outline, waves, device):
     assert image.min() > -2e-5 * image.max()
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_low_pass_plate_makes_two_images(device):
     """Two half images 2 pixels apart: the image without the plate, added to itself, to the rounding of float32."""
     q, period = np.array([1.1], np.float32), (128, 128)

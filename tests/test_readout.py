@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, KINDS
 
 from gpusim.data.charts import chart
 from gpusim.data.mosaics import mosaic
@@ -104,7 +104,7 @@ def test_grey_comes_out_neutral(name):
 
 
 @pytest.mark.parametrize("name", ["bayer-grbg", "x-trans"])
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_raw_of_any_mosaic_is_the_same_on_every_device(device, name):
     """Full noise, the same means: bit for bit."""
     noise = Noise(dark_current=50.0, read=3.0, reset=2.0, adc=0.5, row=0.7, column=0.4, prnu=0.01, row_prnu=1e-3,
@@ -213,7 +213,7 @@ def test_bits(bits):
     assert np.abs(raw - np.minimum(mean.astype(np.float64), 10000) * white / 10000).max() <= 0.5 + 65535 * 1.5 * ULP
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_without_a_converter_values_are_not_rounded(device):
     simulate = simulator(device=device, bits=32, gain=0.37, black_level=10)
     mean = np.linspace(0, 12000, 1000, dtype=np.float32).reshape(20, 50)

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from brute import Brute, relative, spectra
-from devices import ALL, DEVICES
+from devices import ALL_KINDS, DEVICES, KINDS
 
 from gpusim.cli import main
 from gpusim.data.cameras import open_camera
@@ -168,7 +168,7 @@ def test_pixels_of_a_blurred_scene_against_its_exact_spectrum(q, ratio, fill):
         assert error < 2e-2
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("ratio", [3])
 def test_frames_of_whole_ratios_are_means_of_the_brute_force(device, ratio):
     """Every wavelength on the fine grid in float64, then the mean of ratio x ratio samples.
@@ -190,7 +190,7 @@ def test_frames_of_whole_ratios_are_means_of_the_brute_force(device, ratio):
     assert np.abs(result - truth).max() <= 3.8e-6 * truth.max()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", KINDS)
 def test_verification_holds_at_finer_scenes(device, ratio=1.5):
     """The report's true error against float64 with the same surroundings: float32 alone, 3.8e-6 of the peak."""
     scene = chart("colorchecker", size=(36, 24), samples_per_pixel=ratio)
@@ -214,7 +214,7 @@ def test_flat_fields_are_flat_behind_any_aperture(ratio, model):
     np.testing.assert_allclose(mean(scene, camera), 0.01 * shading * made.weights.sum(), rtol=6e-8)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_without_blur_samples_are_weighted_by_area(device):
     """Ratio 1.5 at full fill: a pixel is one sample and a half of the next along each axis, by hand; float32: 4 ulp."""
     random = np.random.default_rng(1)
@@ -229,7 +229,7 @@ def test_without_blur_samples_are_weighted_by_area(device):
     np.testing.assert_allclose(mean(scene, camera, device), expected, rtol=5e-7)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_highlights_of_a_finer_scene(device):
     """Points of 1e2 to 1e4 at three samples a pixel against the plain transform in float64, at every pixel.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import ALL
+from devices import ALL_KINDS
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.shutter import shutter, spans
@@ -41,7 +41,7 @@ def test_times_far_from_zero_do_not_lose_the_exposure():
     np.testing.assert_allclose(weights, shutter_weights(times - 86400, 100, 1e-3, 3.9e-4), atol=1e-3 * 2e-8)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_rates_linear_in_time_are_exact(device):
     rows, cols, exposure_time, row_time, start = 40, 9, 0.008, 5e-4, 0.003
     times = np.sort(np.random.default_rng(2).uniform(0, 0.04, 13))
@@ -60,7 +60,7 @@ def edge(position, cols):
     return np.clip(np.asarray(position)[..., None] - np.arange(cols), 0, 1)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("row_time", [0.0, 2e-4])
 def test_a_moving_edge_is_skewed_by_speed_times_row_time(device, row_time):
     rows, cols, speed, exposure_time = 60, 120, 4000.0, 4e-3  # [pixel/s]; the edge runs 16 pixels in an exposure
@@ -74,7 +74,7 @@ def test_a_moving_edge_is_skewed_by_speed_times_row_time(device, row_time):
     np.testing.assert_allclose(position, 20 + speed * (row_time * np.arange(rows) + exposure_time / 2), atol=1e-3)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("exposure_time", [1e-3, 1 / 300, 1 / 100, 1 / 60, 0.03])
 def test_a_lamp_of_100_hz_makes_bands(device, exposure_time):
     """The mean of cos(2 pi f t) over an exposure T is sinc(f T) times that of the exposure's middle."""
@@ -93,7 +93,7 @@ def test_a_lamp_of_100_hz_makes_bands(device, exposure_time):
     assert np.mean(mean) == pytest.approx(1, abs=5.2e-4)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_no_row_time_is_a_global_shutter(device):
     random = np.random.default_rng(5)
     pictures = random.uniform(0, 100, (6, 1, 7)).astype(np.float32)
@@ -102,7 +102,7 @@ def test_no_row_time_is_a_global_shutter(device):
     assert (mean == mean[0]).all()
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_still_scene_needs_one_instant(device):
     rates = np.random.default_rng(6).uniform(1, 1000, (1, 20, 31)).astype(np.float32)
     weights = shutter_weights([123.0], 20, 0.01, 1e-3)
@@ -110,7 +110,7 @@ def test_a_still_scene_needs_one_instant(device):
     np.testing.assert_allclose(shutter(rates, weights, device=device), 0.01 * rates[0].astype(float), rtol=2 * FLOAT32)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_instants_that_do_not_matter_to_a_row_are_not_read(device):
     """NaN wherever a row is closed: it would spread if it were multiplied by zero."""
     rows = 50

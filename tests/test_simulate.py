@@ -10,7 +10,7 @@ import colour
 import numpy as np
 import pytest
 import rawpy
-from devices import ALL, DEVICES
+from devices import ALL, ALL_KINDS, DEVICES
 from scipy.interpolate import CubicSpline
 
 import gpusim
@@ -202,7 +202,7 @@ def test_simulate_writes_every_format(tmp_path, capsys):
     assert Image.open(outs[0]).size == (97, 65)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_photograph_on_every_device(shared_data, tmp_path, capsys, device):
     from PIL import Image
 

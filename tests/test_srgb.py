@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from devices import ALL
+from devices import ALL_KINDS
 
 from gpusim.kernels.display.srgb import srgb, thresholds
 
@@ -24,13 +24,13 @@ def by_formula(values):
     return np.floor(255 * encoded + 0.5).astype(np.uint8)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_every_16_bit_value_has_the_code_of_the_formula(device):
     values = (np.arange(65536) / 65535).astype(np.float32)
     np.testing.assert_array_equal(codes(values, device), by_formula(values))
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_codes_change_at_exactly_the_right_float32(device):
     """All float32 within 64 steps of every rounding boundary.
 
@@ -44,7 +44,7 @@ def test_codes_change_at_exactly_the_right_float32(device):
     assert (np.diff(found.reshape(bits.shape), axis=1).sum(1) == 1).all()  # each boundary lies among its 129 values
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_every_code_survives_decoding_and_encoding(device):
     import colour
 
@@ -52,13 +52,13 @@ def test_every_code_survives_decoding_and_encoding(device):
     np.testing.assert_array_equal(codes(colour.models.eotf_sRGB(every / 255), device), every)
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_what_no_display_can_show(device):
     values = [np.nan, -np.inf, np.inf, -1, 2, -0.0, 1e-45]
     assert codes(values, device).tolist() == [0, 0, 255, 0, 255, 0, 0]
 
 
-@pytest.mark.parametrize("device", ALL)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_planes_become_pixels(device):
     rgb = np.zeros((3, 5, 7), np.float32)
     rgb[0, 1, 2], rgb[1, 4, 6], rgb[2, 0, 0] = 1, 1, 1
