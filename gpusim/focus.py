@@ -1,6 +1,7 @@
 """Contrast autofocus: pictures at trial positions of the sensor, the sharpest of which is in focus."""
 
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
@@ -40,8 +41,8 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
               nearest: float | None = None, farthest: float = np.inf, seed: int = 0) -> Focus:
     """Focus the camera of `simulator` on what is in a region of the frame, by the contrast of its raw pictures.
 
-    region: rows and columns [pixel]; by default the middle third. nearest, farthest: range of the search [m]; by
-    default from 20 focal lengths to infinity. seed: of the pictures' noise, each trial is another frame.
+    region: rows and columns of the raw picture [pixel]; by default the middle third. nearest, farthest: range of the
+    search [m]; by default from 20 focal lengths to infinity. seed: of the noise, each trial is another frame.
     Positions are even in dioptres, to which the sensor's displacement and the circle of confusion are proportional:
     first FIRST_STEP pixels of it apart, then three times closer about the best, until half a depth of focus; the last
     ones' parabola has its top in focus. Source: Farrell and Wandell, section 4.4; Krotkov, International Journal of
@@ -56,7 +57,9 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
     if not optics.focal_length < nearest < farthest:
         raise OutOfRange("autofocus range", f"{nearest:.4g} .. {farthest:.4g} m",
                          f"focal_length ({optics.focal_length:.4g} m) < nearest < farthest")
-    region = _checked_region(region, scene.shape, sensor.cfa_indices.shape)
+    readout = simulator.readout
+    period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
+    region = _checked_region(region, readout.output_shape(scene.shape), period)
 
     infinity = replace(optics, object_distance=np.inf)
     diopters = (infinity.working_f_number * sensor.pixel_pitch) / infinity.displacement(1.0)  # to a pixel
@@ -70,16 +73,20 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
                          f"within {reach:.4g} dioptres of the focus: {LONGEST_WAVEFRONT:g} waves")
 
     trials: dict[float, tuple[float, float]] = {}
-    exposure_time = sensor.exposure_time
+    averaged = prod(sensor.binning) // readout.pixels
+    metered: tuple = ()  # exposure time and gain of the first picture
 
     def measure(vergence):
-        nonlocal exposure_time
+        nonlocal metered
         if vergence not in trials:
             trial = _focused(simulator, _distance(vergence))
-            exposure = trial.expose(scene, exposure_time)
-            exposure_time = exposure.exposure_time  # as metered in the first picture
-            raw = trial.device.numpy(trial.draw(exposure, seed=seed, frame=len(trials)))
-            trials[vergence] = _contrast(raw[region].astype(float) - sensor.black_level, sensor, exposure_time)
+            exposure = trial.expose(scene, *metered)
+            metered = exposure.exposure_time, exposure.gain
+            frame = next(trial.shoot(exposure, seed=seed, first=len(trials)))
+            raw = frame.raw[len(frame.raw) // 2] if sensor.stacked else frame.raw  # the middle channel
+            operated = frame.camera.sensor
+            trials[vergence] = _contrast(raw[region].astype(float) - operated.dark_level, operated, period,
+                                         frame.exposure_time, averaged)
         return trials[vergence][0]
 
     step = FIRST_STEP * diopters
@@ -125,18 +132,19 @@ def _checked_region(region, shape, period):
     return region
 
 
-def _contrast(raw, sensor, exposure_time):
+def _contrast(raw, sensor, period, exposure_time, averaged):
     """Mean squared difference of neighbours of one colour over the squared mean, and its standard error.
 
     What the sensor's noise is known to add, twice its variance, is taken away: it grows as the trials get darker.
+    averaged: pixels whose digital numbers are one's.
     """
-    level, period, gain = raw.mean(), sensor.cfa_indices.shape, sensor.gain_dn_per_electron
+    level, gain = raw.mean(), sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
     noise = sensor.noise
     electrons = noise.dark_current * noise.warmth * exposure_time + (level / gain if noise.photon != "none" else 0.0)
     variance = electrons + sensor.read_sigma**2 + noise.dsnu**2 + (noise.prnu * level / gain) ** 2
-    noise = 2 * gain**2 * variance + 1 / 6  # 1/12 of the converter's step each
+    noise = 2 * gain**2 * variance / averaged + 1 / 6  # 1/12 of the converter's step each
     squares = np.concatenate([((raw[step:] - raw[:-step]) ** 2).ravel() if axis == 0 else
                               ((raw[:, step:] - raw[:, :-step]) ** 2).ravel() for axis, step in enumerate(period)])
     return float((squares.mean() - noise) / level**2), float(squares.std() / np.sqrt(squares.size) / level**2)

@@ -2,10 +2,12 @@
 
 import dataclasses
 from math import prod
+from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.backends import Device, open_device
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
@@ -15,20 +17,20 @@ from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
 
-HUGE = 1e30  # [e-] a well that no charge fills
+MOST = 1e30  # [e-] a well that no charge fills, or charge that fills every well; [s]
 RESET = 2**30  # number of the read whose random numbers the reset has
 BATCH = 2**26  # [pixel] of frames that are drawn at once
 
 
 class Readout:
-    """One chip of a sensor on a device.
+    """One chip of a sensor on a device (or the name of one).
 
     sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
     output pixel's.
     """
 
-    def __init__(self, sensor: Sensor, device):
-        self.sensor, self.device = sensor, device
+    def __init__(self, sensor: Sensor, device: Device | str = "auto"):
+        self.sensor, self.device = sensor, open_device(device) if isinstance(device, str) else device
         self.stride, mosaic = binned(sensor.cfa_indices, sensor.binning)
         charge = sensor.binning_mode == "charge"
         self.pixels = prod(sensor.binning) if charge else 1
@@ -43,8 +45,8 @@ class Readout:
         """The output sensor with its analog gain multiplied by `gain`."""
         return dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
 
-    def check_size(self, shape):
-        """Raise OutOfRange for a frame (rows, cols) that is too small to be binned or shown."""
+    def output_shape(self, shape) -> tuple[int, int]:
+        """Rows and columns of the raw values of a frame of `shape` pixels. Raises OutOfRange where they are too few."""
         sensor = self.output
         if self.sensor.binning != (1, 1):
             shape = binned_shape(shape, self.sensor.binning, self.stride)
@@ -53,6 +55,7 @@ class Readout:
             if shape[0] < least[0] or shape[1] < least[1]:
                 raise OutOfRange("frame size", f"{shape[1]}x{shape[0]}", f"at least {least[1]}x{least[0]} pixels, so "
                                  f"that all colours of the mosaic {'/'.join(sensor.cfa)} are near every pixel")
+        return tuple(shape)
 
     def expected(self, mean, exposure_time: float, scale: float = 1.0):
         """Electrons that this chip is expected to collect, without the dark current all pixels have in common.
@@ -71,7 +74,8 @@ class Readout:
         if chip.hot_pixels and chip.hot_current:
             dark = self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
         if response is not None or dark is not None or scale != 1:
-            mean = expect(mean, response, dark, scale=scale, dark_time=exposure_time * chip.warmth, device=self.device)
+            mean = expect(mean, response, dark, scale=scale, dark_time=min(exposure_time * chip.warmth, MOST),
+                          device=self.device)
         return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
 
     def mean(self, mean):
@@ -85,16 +89,23 @@ class Readout:
         """Raw values (rows, cols), or (frames, rows, cols), around `expected` electrons (see the method).
 
         gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
+        Raises DoesNotFit, OutOfRange.
         """
+        if frames is not None:
+            needed = int(frames) * prod(expected.shape) * (4 if self.sensor.bits == FLOAT_BITS else 2)
+            if needed > self.device.memory:
+                raise DoesNotFit(f"{frames} frames", needed, self.device.memory, self.device.name)
         raw = self._read(expected, exposure_time, self.operated(gain), sigma=self.operated(gain).read_sigma,
                          photon=self.sensor.noise.photon, seed=seed, frame=frame, frames=frames)
         if not self._digital:
             return raw
-        whole = raw if frames else self.device.reshape(raw, (1, *raw.shape))
+        whole = raw if frames is not None else self.device.reshape(raw, (1, *raw.shape))
         averages = [bin_pixels(self.device.array(np.ascontiguousarray(one), np.uint16), binning=self.sensor.binning,
                                stride=self.stride, average=True, device=self.device)
                     for one in self.device.numpy(whole)]
-        return np.stack([self.device.numpy(one) for one in averages]) if frames else averages[0]
+        if frames is None:
+            return averages[0]
+        return self.device.array(np.stack([self.device.numpy(one) for one in averages]), np.uint16)
 
     def average(self, expected, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
@@ -114,14 +125,11 @@ class Readout:
         mean: electrons of `exposure_time` [s], see `expected`. times: of the reads since the reset [s], rising. The
         reads see one growing charge, photon by photon, and share the reset's noise; each has its own read noise.
         """
-        times = np.asarray(times, np.float64)
-        if times.ndim != 1 or not times.size or not (np.isfinite(times) & (np.diff(times, prepend=0.0) > 0)).all():
-            raise OutOfRange("times of the reads", times.tolist(), "one or more finite times, rising from above 0 s")
-        if self._digital:
-            raise BadData("non-destructive reads: the sensor bins digital numbers; wanted binning_mode = \"charge\"")
+        times = self.checked_reads(times)
         sensor, device, chip = self.operated(gain), self.device, self.sensor.noise
-        common = {"gain": 1.0, "full_well": HUGE, "electrons": True, "seed": seed, "frame": frame, "device": device}
-        reads, charge, previous = [], 0.0, 0.0
+        common = {"gain": 1.0, "full_well": MOST, "electrons": True, "seed": seed, "frame": frame, "device": device}
+        reads, previous = [], 0.0
+        charge: Any = np.float32(0)
         for number, time in enumerate(times):
             step = time - previous
             more = self.expected(mean, step, step / exposure_time)
@@ -139,6 +147,18 @@ class Readout:
             reads.append(np.array(device.numpy(raw)))
             previous = time
         return np.stack(reads)
+
+    def checked_reads(self, times) -> np.ndarray:
+        """Times of reads that leave the charge [s]. Raises BadData, OutOfRange."""
+        try:
+            times = np.asarray(times, np.float64)
+        except (TypeError, ValueError):
+            raise BadData(f"times of the reads = {times!r}: wanted numbers [s]") from None
+        if times.ndim != 1 or not times.size or not (np.isfinite(times) & (np.diff(times, prepend=0.0) > 0)).all():
+            raise OutOfRange("times of the reads", times.tolist(), "one or more finite times, rising from above 0 s")
+        if self._digital:
+            raise BadData("non-destructive reads: the sensor bins digital numbers; wanted binning_mode = \"charge\"")
+        return times
 
     def models(self) -> dict[str, str]:
         """Stage -> what is modelled; a part that is off has no stage and no name."""
@@ -174,16 +194,15 @@ class Readout:
             fixed = device.array(offset if fixed is None else offset + device.numpy(fixed))
         if chip.telegraph_pixels and chip.telegraph:
             amplitude = self._pattern("telegraph", rows, cols, share=chip.telegraph_pixels, scale=chip.telegraph)
-        black = sensor.black_level + sensor.gain_dn_per_electron * sensor.analog_offset
         return noise(expected, fixed, amplitude, dark_electrons=self._dark_electrons(exposure_time), read_noise=sigma,
                      row_noise=chip.row, column_noise=chip.column, telegraph_switching=chip.telegraph_switching,
-                     full_well=sensor.full_well, gain=sensor.gain_dn_per_electron, black_level=black,
+                     full_well=sensor.full_well, gain=sensor.gain_dn_per_electron, black_level=sensor.dark_level,
                      white_level=None if sensor.bits == FLOAT_BITS else sensor.white_level, photon=photon, seed=seed,
                      frame=frame, frames=frames, read=read, device=device)
 
     def _dark_electrons(self, exposure_time):
         noise_ = self.output.noise
-        return noise_.dark_current * noise_.warmth * exposure_time
+        return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 
     def _binned(self, charge):
         return bin_pixels(charge, binning=self.sensor.binning, stride=self.stride, device=self.device)
@@ -196,11 +215,18 @@ class Readout:
         return self._patterns[key]
 
 
-def checked_electrons(mean) -> np.ndarray:
-    """Mean electrons that can be drawn around, float32. Raises BadData for what is not finite or negative."""
-    mean = np.asarray(mean, np.float32)
-    if mean.ndim not in (2, 3) or not mean.size:
-        raise BadData(f"mean electrons: shape {mean.shape}, wanted (rows, cols) or, of stacked pixels, (C, rows, cols)")
+def checked_electrons(mean, layers: int | None) -> np.ndarray:
+    """Mean electrons that can be drawn around, float32; layers: of stacked pixels, None of a mosaic.
+
+    Raises BadData, OutOfRange for what is not finite or negative.
+    """
+    try:
+        mean = np.asarray(mean, np.float32)
+    except (TypeError, ValueError):
+        raise BadData("mean electrons: wanted an array of numbers") from None
+    if mean.shape[:-2] != (() if layers is None else (layers,)) or mean.ndim < 2 or not mean.size:
+        wanted = "(rows, cols)" if layers is None else f"({layers}, rows, cols), the sensor's pixels being stacked"
+        raise BadData(f"mean electrons: shape {mean.shape}, wanted {wanted}")
     wrong = ~(np.isfinite(mean) & (mean >= 0))
     if wrong.any():
         place = tuple(map(int, np.argwhere(wrong)[0]))

@@ -50,6 +50,7 @@ from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES, at_pixels, probe_pixels
 
 FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
+MOST_GAIN = 1e4  # analog gain beside the sensor's
 SHOWN_WHITE = 65535  # digital number of white in the picture of raw values without a converter
 DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 
@@ -59,7 +60,8 @@ class Exposure:
     """The noise-free capture of a scene: computed once, drawn from many times.
 
     plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
-    mean: mean electrons of every pixel, array of the device, (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
+    mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
+        cols) [e-].
     expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
     exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours.
     ms: milliseconds per stage that it took.
@@ -150,6 +152,8 @@ class Simulator:
     def shoot(self, exposure: Exposure, count: int = 1, *, seed: int = 0, first: int = 0,
               error: Error | None = None) -> Iterator[Frame]:
         """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
+        if count < 1:
+            raise OutOfRange("count of frames", count, "a whole number, count >= 1")
         shape = exposure.mean.shape
         mean = self.readout.mean(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])))
         mean = self._layered(exposure, mean)
@@ -186,7 +190,8 @@ class Simulator:
 
     def nondestructive(self, scene: Scene, times, *, seed: int = 0, frame: int = 0) -> np.ndarray:
         """Raw values of reads at `times` [s] after the reset that leave the charge: NumPy, reads x a frame's shape."""
-        exposure = self.expose(scene, float(np.max(times, initial=0.0)))
+        times = self.readout.checked_reads(times)
+        exposure = self.expose(scene, float(times[-1]))
         return self._layered(exposure, self.readout.nondestructive(
             exposure.mean, exposure.exposure_time, times, gain=exposure.gain, seed=seed, frame=frame))
 
@@ -235,7 +240,7 @@ class Simulator:
             LENGTHS[-1] - 2 * (ceil((self.reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
         if max(scene.samples) > most:
             raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
-        self.readout.check_size(scene.shape)
+        self.readout.output_shape(scene.shape)
         made = plan(scene, self.camera, transform_lengths, fft_length, self._sampled_tables, self.tolerance,
                     self.guaranteed, self.reach, self.fft_free, self._keep)
         available = self.device.memory
@@ -244,25 +249,29 @@ class Simulator:
             raise DoesNotFit(f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})", needed, available, self.device.name)
         return made
 
-    def expose(self, scene: Scene, exposure_time: float | None = None) -> Exposure:
+    def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.
 
-        Automatic exposure is as the sensor's `auto_exposure` says. Raises BadData, DoesNotFit, OutOfRange.
+        Automatic exposure is as the sensor's `auto_exposure` says, and chooses the analog gain too. gain: beside the
+        sensor's, with a time that is given or the camera's: `expose(scene, last.exposure_time, last.gain)` keeps what
+        was metered before. Raises BadData, DoesNotFit, OutOfRange.
         """
         checked_time(exposure_time)
         made = self.plan(scene)
         with self.device.timed() as ms:
             rates = self._rates(made)
-            exposure_time, gain = self._metered(exposure_time, lambda: self._expose(made, rates, 1.0))
+            exposure_time, gain = self._metered(exposure_time, gain, lambda: self._expose(made, rates, 1.0))
             mean = self._expose(made, rates, exposure_time)
         return self._exposed(made, mean, exposure_time, gain, ms)
 
-    def expose_moving(self, scenes, times, exposure_time: float | None = None, start: float = 0.0) -> Exposure:
+    def expose_moving(self, scenes, times, exposure_time: float | None = None, start: float = 0.0,
+                      gain: float = 1.0) -> Exposure:
         """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
 
         scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
         start: when the first row opens [s]; row y opens y row_time of the sensor later. Automatic exposure meters the
-        first scene. Raises as `expose` does, and BadData, OutOfRange for times that do not cover the exposure.
+        first scene; gain: as for `expose`. Raises as `expose` does, and BadData, OutOfRange for times that do not cover
+        the exposure.
         """
         checked_time(exposure_time)
         scenes = list(scenes)
@@ -272,10 +281,13 @@ class Simulator:
         if len({scene.shape for scene in scenes}) > 1:
             raise BadData("moving scene: the scenes differ in size")
         plans = [self.plan(scene) for scene in scenes]
+        held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)  # the pictures, and once more together
+        if held > self.device.memory:
+            raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, self.device.memory, self.device.name)
         with self.device.timed() as ms:
             rates = [self._expose(made, self._rates(made), 1.0) for made in plans]
             shape = rates[0].shape
-            exposure_time, gain = self._metered(exposure_time, lambda: rates[0])
+            exposure_time, gain = self._metered(exposure_time, gain, lambda: rates[0])
             weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
             layers = prod(shape[:-2])  # of stacked pixels, one below the other
             stacked = np.stack([np.reshape(self.device.numpy(rate), (-1, shape[-1])) for rate in rates])
@@ -286,8 +298,7 @@ class Simulator:
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
         """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
-        if not 0 < exposure_time < np.inf:
-            raise OutOfRange("exposure_time", f"{exposure_time} s", "0 < exposure_time < inf")
+        checked_time(exposure_time)
         shape = exposure.mean.shape
         with self.device.timed() as ms:
             mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
@@ -303,16 +314,21 @@ class Simulator:
         return self.readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame,
                                  frames=frames)
 
-    def draw_electrons(self, mean, exposure_time: float, *, seed: int = 0, frame: int = 0, frames: int | None = None):
-        """The same around your own mean electrons of `exposure_time` [s], NumPy (rows, cols) [e-].
+    def draw_electrons(self, mean, exposure_time: float, *, gain: float = 1.0, seed: int = 0, frame: int = 0,
+                       frames: int | None = None) -> np.ndarray:
+        """The same around your own mean electrons of `exposure_time` [s], NumPy.
 
-        Raises OutOfRange for electrons that are not finite or negative, BadData.
+        mean: of every pixel, not binned, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-]. gain: as for
+        `expose`. Raises OutOfRange for electrons that are not finite or negative, BadData.
         """
-        if not 0 < exposure_time < np.inf:
-            raise OutOfRange("exposure_time", f"{exposure_time} s", "0 < exposure_time < inf")
-        expected = self.readout.expected(self.device.array(checked_electrons(mean)), exposure_time)
-        return np.array(self.device.numpy(self.readout.draw(expected, exposure_time, seed=seed, frame=frame,
-                                                            frames=frames)))
+        checked_time(exposure_time)
+        sensor = self.camera.sensor
+        mean = checked_electrons(mean, len(sensor.channels) if sensor.stacked else None)
+        self.readout.output_shape(mean.shape[-2:])
+        expected = self.readout.expected(self.device.array(mean), exposure_time)
+        raw = np.array(self.device.numpy(self.readout.draw(expected, exposure_time, gain=gain, seed=seed, frame=frame,
+                                                           frames=frames)))
+        return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 
     def develop(self, raw, exposure: Exposure):
         """Linear display RGB (3, rows, cols) and sRGB codes (rows, cols, 3) of digital numbers.
@@ -320,7 +336,7 @@ class Simulator:
         Those of a sensor without a converter are shown from 16 bits of them.
         """
         sensor, processor = exposure.camera.sensor, exposure.camera.processor
-        transform, black, white = exposure.rendering, sensor.black_level, sensor.white_level
+        transform, black, white = exposure.rendering, sensor.dark_level, sensor.white_level
         if sensor.bits == FLOAT_BITS:
             values = (self.device.numpy(raw) - black) * (SHOWN_WHITE / (white - black))
             raw = self.device.array(np.rint(np.clip(values, 0, SHOWN_WHITE)), np.uint16)
@@ -340,13 +356,16 @@ class Simulator:
                       device=self.device)
         return shown, srgb(shown, device=self.device)
 
-    def _metered(self, exposure_time, per_second):
+    def _metered(self, exposure_time, gain, per_second):
         """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
         sensor = self.camera.sensor
+        if not 0 < gain <= MOST_GAIN:
+            raise OutOfRange("gain", gain, f"0 < gain <= {MOST_GAIN:g}")
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is not None:
-            return float(exposure_time), 1.0
-        return sensor.auto_exposure.choose(self.device.numpy(per_second()),
+            return float(exposure_time), float(gain)
+        dark = sensor.noise.dark_current * sensor.noise.warmth  # fills the well as light does
+        return sensor.auto_exposure.choose(self.device.numpy(per_second()) + np.float32(dark),
                                            self.readout.output.saturation / self.readout.pixels)
 
     def _exposed(self, made: Plan, mean, exposure_time, gain, ms):

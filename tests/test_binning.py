@@ -8,7 +8,7 @@ from devices import ALL, ALL_KINDS, DEVICES
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.bin import bin, binned_shape
-from gpusim.planner.binning import binned, binned_levels, shortest_period
+from gpusim.planner.binning import binned, shortest_period
 
 
 def mosaic(*rows):
@@ -156,22 +156,6 @@ def test_sums_of_numbers_stop_at_the_largest(device):
     assert bin(frame, binning=(2, 2), device=device).tolist() == [[65535, 65535, 65535]]
     frame[0, 0] -= 1
     assert bin(frame, binning=(2, 2), device=device).tolist() == [[65534, 65535, 65535]]
-
-
-@pytest.mark.parametrize("device", ALL_KINDS)
-def test_black_and_white_keep_their_place(device):
-    """A dark frame bins to the black level, a saturated one to the white level, as the planner tells them."""
-    for black, white in ((64, 1023), (512, 4095), (512, 16383)):
-        for binning in ((2, 2), (3, 3), (4, 2)):
-            for average in (False, True):
-                levels = binned_levels(black, white, binning, average)
-                for level, wanted in zip((black, white), levels, strict=True):
-                    frame = np.full((12, 12), level, np.uint16)
-                    result = bin(frame, binning=binning, stride=(2, 2), average=average, device=device)
-                    assert (result == wanted).all()
-    assert binned_levels(64, 16383, (3, 3), False) == (576, 65535)  # 9 x 16383 = 147447 is cut
-    with pytest.raises(OutOfRange, match="black_level < 1024"):
-        binned_levels(1024, 4095, (8, 8), False)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

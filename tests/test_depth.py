@@ -13,6 +13,7 @@ import gpusim
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
+from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import pillbox_kernel
 from gpusim.domain.scene import Cube, Layer, Scene, unit_light
@@ -357,6 +358,17 @@ def test_autofocus_finds_the_distance(name, distance):
     best = focus.distances[focus.contrasts.argmax()]
     assert abs(1 / best - 1 / distance) < 1.5 * focus.depth_of_focus  # trials are half of it apart
     assert focus.optics.object_distance == focus.object_distance and focus.contrasts.min() < focus.contrasts.max() / 2
+
+
+@pytest.mark.parametrize("changes", [
+    {"binning": (2, 2)}, {"binning": (2, 2), "binning_mode": "digital"}, {"analog_offset": 300.0},
+    {"auto_exposure": AutoExposure(longest=1e-3, most_gain=8.0)}], ids=["charge", "digital", "offset", "gain"])
+def test_autofocus_of_an_operated_sensor(changes):
+    """Binning, a pedestal and a gain that metering chose change neither what is in focus nor how exact it is."""
+    camera = open_camera("mono")
+    camera = replace(camera, sensor=replace(camera.sensor, **changes))
+    focus = gpusim.autofocus(Simulator(camera, device=FAST), target("deadleaves", 0.5))
+    assert abs(1 / focus.object_distance - 1 / 0.5) < focus.depth_of_focus
 
 
 def test_autofocus_of_a_region():

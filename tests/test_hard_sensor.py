@@ -98,7 +98,7 @@ def test_20_a_camera_refuses_them(value):
     mean = np.ones((3, 4))
     mean[1, 2] = value
     with pytest.raises(OutOfRange, match=r"\(1, 2\).*0 <= electrons < inf"):
-        checked_electrons(mean)
+        checked_electrons(mean, None)
 
 
 # ---------------------------------------------------------------- 21: no steps

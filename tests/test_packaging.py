@@ -21,7 +21,7 @@ ALLOWED = {
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
-    "gpusim.readout": {"gpusim.domain", "gpusim.kernels", "gpusim.planner"},
+    "gpusim.readout": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner"},
     "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.kernels",
                          "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.truth"},
     "gpusim.focus": {"gpusim.domain", "gpusim.scheduler"},

@@ -669,3 +669,88 @@ def test_other_shapes_and_stops_are_refused():
 def test_a_frame_smaller_than_a_binned_pixel_is_refused():
     with pytest.raises(GpusimError, match="one block of binning"):
         simulator(MOSAICS["bayer-rggb"], binning=(8, 8))(chart("flat", size=(15, 40)))
+
+
+# ------------------------------------------------------------------------------------------------- extremes and kinds
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_any_overexposure_is_white(device):
+    hot = Noise(hot_pixels=0.5, hot_current=1e12, dark_current=1e12, temperature=85, reference_temperature=25,
+                doubling=1.0)
+    simulate = Simulator(camera(noise=hot), device=device)
+    assert (simulate.draw_electrons(np.full((5, 7), 1.0), 1e12) == 4095).all()
+    frame, = simulator(device=device).bracket(chart("flat", size=(7, 5)), (46,))  # 0.01 s 2^46 = 7e11 s
+    assert (frame.raw == 4095).all()
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_whole_numbers_of_any_kind_name_the_noise(device):
+    simulate = Simulator(camera(noise=Noise(read=3.0)), device=device)
+    mean = np.full((5, 7), 100.0)
+    for kind, value in ((np.int32, 3), (np.uint32, 2**32 - 2), (np.uint64, 2**32 - 1)):
+        plain = simulate.draw_electrons(mean, 0.01, seed=value, frame=value)
+        np.testing.assert_array_equal(simulate.draw_electrons(mean, 0.01, seed=kind(value), frame=kind(value)), plain)
+    for wrong in ({"seed": -1}, {"seed": 1.5}, {"frame": 2**32}, {"frames": 0}, {"frames": -1}, {"frames": 70000}):
+        with pytest.raises(OutOfRange, match=f"{next(iter(wrong))} = "):
+            simulate.draw_electrons(mean, 0.01, **wrong)
+
+
+def test_what_was_metered_can_be_kept():
+    dim = AutoExposure(longest=1e-4, most_gain=16.0)
+    simulate = simulator(exposure_time=None, auto_exposure=dim, noise=Noise(read=3.0))
+    scene = chart("ramp", size=(32, 16))
+    first = simulate.expose(scene)
+    assert first.gain > 1
+    again = simulate.expose(scene, first.exposure_time, first.gain)
+    np.testing.assert_array_equal(*(np.array(simulate.device.numpy(simulate.draw(one))) for one in (first, again)))
+    mean = np.array(simulate.device.numpy(first.mean))
+    np.testing.assert_array_equal(simulate.draw_electrons(mean, first.exposure_time, gain=first.gain),
+                                  np.array(simulate.device.numpy(simulate.draw(first))))
+    for gain in (0.0, -1.0, np.nan):
+        with pytest.raises(OutOfRange, match="gain"):
+            simulate.expose(scene, 1e-4, gain)
+
+
+def test_automatic_exposure_counts_the_dark_current():
+    simulate = simulator(exposure_time=None, noise=Noise(photon="none", dark_current=1e6))
+    exposure = simulate.expose(chart("ramp", size=(32, 16)))
+    brightest = float(np.max(simulate.device.numpy(exposure.mean))) + 1e6 * exposure.exposure_time
+    assert brightest == pytest.approx(0.95 * 10000, rel=1e-5)  # float32 rates: a few 2^-24
+
+
+def test_an_analog_offset_is_black_in_the_picture():
+    scene = chart("ramp", size=(32, 16))
+    plain, raised = (simulator(analog_offset=offset)(scene) for offset in (0.0, 500.0))
+    assert raised.raw.astype(int).min() - plain.raw.astype(int).min() >= 200  # 500 e- are 204.75 DN
+    # rounding to a DN in either picture, where white is at least 1000 DN
+    assert np.abs(raised.linear - plain.linear).max() <= 2 / 1000
+
+
+@pytest.mark.parametrize(("noise", "text"), [
+    ({"hot_pixels": 0.1}, "hot_current"), ({"telegraph_pixels": 0.1}, "noise.telegraph"),
+    ({"temperature": 1000.0, "doubling": 0.1}, "doubling"), ({"read": "a"}, "noise.read"),
+    ({"read": None}, "noise.read"), ({"photon": 1}, "photon")])
+def test_noise_that_cannot_be_is_refused(noise, text):
+    with pytest.raises(GpusimError, match=text):
+        Noise(**noise)
+
+
+@pytest.mark.parametrize(("sensor", "text"), [
+    ({"full_well": "a"}, "full_well"), ({"binning": 2}, "binning"), ({"offset": 1}, "offset"),
+    ({"photodetector": 0.5}, "photodetector"), ({"vignetting": [[1, 1], [1]]}, "vignetting"),
+    ({"vignetting": [[2, 2], [2, 2]]}, "vignetting"), ({"binning_mode": 3}, "binning_mode"), ({"qe": None}, "qe"),
+    ({"noise": None}, "noise"), ({"auto_exposure": "mean"}, "auto_exposure"),
+    ({"bits": 8, "black_level": 200}, "black level")])
+def test_sensors_that_cannot_be_are_refused(sensor, text):
+    with pytest.raises(GpusimError, match=text):
+        camera(**sensor)
+
+
+def test_layers_must_be_those_of_the_sensor():
+    stacked = simulator(("RGB",), stacked=True)
+    assert stacked.draw_electrons(np.full((3, 4, 5), 9.0), 0.01).shape == (3, 4, 5)
+    assert stacked.draw_electrons(np.full((3, 4, 5), 9.0), 0.01, frames=2).shape == (2, 3, 4, 5)
+    for simulate, shape in ((stacked, (4, 5)), (stacked, (2, 4, 5)), (simulator(), (3, 4, 5))):
+        with pytest.raises(BadData, match="shape"):
+            simulate.draw_electrons(np.full(shape, 9.0), 0.01)

@@ -294,9 +294,10 @@ def _camera(path, table):
 def _noise(path, fields, sensor):
     """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
     if fields.get("reset") == "kTC":
+        noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})  # its checks first
         if "conversion_gain" not in sensor:
             raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
-        fields["reset"] = reset_noise(sensor["conversion_gain"], fields.get("temperature", Noise.temperature))
+        fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
     return Noise(**fields)
 
 

@@ -55,8 +55,14 @@ class DeviceError(GpusimError):
 
 
 def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
-    """Raise OutOfRange unless `good` holds for the field `key` of `part`; None is left for the caller to judge."""
+    """Raise OutOfRange unless `good` holds for the field `key` of `part`, or it is None and that is its default."""
     value = getattr(part, key)
-    if value is not None and not good(value):
+    if value is None and getattr(type(part), key, 0) is None:
+        return
+    try:
+        right = good(value)
+    except (TypeError, ValueError):  # not of a kind that can be compared
+        right, value = False, repr(value)
+    if not right:
         shown = f"{value:.6g}" if isinstance(value, float) else value
         raise OutOfRange(f"{owner}.{key}", f"{shown} {unit}".rstrip(), allowed)

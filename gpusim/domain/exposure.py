@@ -32,10 +32,13 @@ def checked_time(time: float | None) -> float | None:
 
 
 def bracket_times(time: float, stops) -> np.ndarray:
-    """Exposure times [s] that are `stops` brighter than `time` [s], time 2^stops. Raises OutOfRange."""
-    stops = np.atleast_1d(np.asarray(stops, np.float64))
+    """Exposure times [s] that are `stops` brighter than `time` [s], time 2^stops. Raises BadData, OutOfRange."""
+    try:
+        stops = np.atleast_1d(np.asarray(stops, np.float64))
+    except (TypeError, ValueError):
+        raise BadData(f"stops of a bracket = {stops!r}: wanted a list of numbers") from None
     times = time * np.exp2(stops)
-    if stops.ndim != 1 or not (np.isfinite(times) & (times > 0)).all():
+    if stops.ndim != 1 or not stops.size or not (np.isfinite(times) & (times > 0)).all():
         raise OutOfRange("stops of a bracket", stops.tolist(), "a list of finite numbers, small enough for a time")
     return times
 
@@ -48,7 +51,7 @@ class AutoExposure:
         "percentile" the `percentile`-th of the pixels [%], so that a few lamps may clip; "mean" the average;
         "centre" the average weighted by a Gaussian about the frame's middle.
     longest: exposure time at most [s], None: any. Where it is too short the analog gain is raised, up to most_gain [1].
-    Raises OutOfRange, UnknownName.
+    Raises BadData, OutOfRange, UnknownName.
     """
 
     method: str = "full"
@@ -59,11 +62,14 @@ class AutoExposure:
 
     def __post_init__(self):
         if self.method not in METHODS:
-            raise UnknownName("exposure method", self.method, METHODS)
+            raise UnknownName("exposure method", str(self.method), METHODS)
         check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
         check_range("auto_exposure", self, "percentile", "0 < percentile <= 100", lambda value: 0 < value <= 100, "%")
         check_range("auto_exposure", self, "longest", "0 < longest <= 1e12", lambda value: 0 < value <= 1e12, "s")
         check_range("auto_exposure", self, "most_gain", "1 <= most_gain <= 1e4", lambda value: 1 <= value <= 1e4)
+        if self.most_gain > 1 and self.longest is None:
+            raise BadData(f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
+                          "longest exposure time is too short; wanted both")
 
     def signal(self, electron_rate) -> float:
         """What is brought to the level [e- s-1], of electrons per second and pixel, shape (..., rows, cols)."""

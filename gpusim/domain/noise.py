@@ -4,12 +4,13 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
-from gpusim.domain.errors import UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 
 PHOTONS = ("fast", "exact", "none")
 ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)
 BOLTZMANN = 1.380649e-23  # [J K-1], exact
 ZERO_CELSIUS = 273.15  # [K]
+MOST_DOUBLINGS = 60
 MOST = 1e12  # more than any electrons; squares of it are far from float32's limit
 SLOWEST_SWITCHING = 1 / 1024  # [1/frame]; a state is traced back through about the inverse of it
 
@@ -35,7 +36,7 @@ class Noise:
     dsnu, row_dsnu, column_dsnu: standard deviation of the offset [e- rms].
     hot_pixels: part of the pixels [1] with a dark current more, exponentially distributed with the mean
         `hot_current` at the reference temperature [e- s-1]. dead_pixels: part of the pixels without response [1].
-    Raises OutOfRange, UnknownName.
+    Of pixels that are binned as charge, or stacked, see `Sensor`. Raises BadData, OutOfRange, UnknownName.
     """
 
     photon: str = "fast"
@@ -67,7 +68,7 @@ class Noise:
             check_range("noise", self, key, allowed, good, unit)
 
         if self.photon not in PHOTONS:
-            raise UnknownName("noise.photon", self.photon, PHOTONS)
+            raise UnknownName("noise.photon", str(self.photon), PHOTONS)
         for key in ("dark_current", "hot_current"):
             check(key, f"0 <= {key} <= 1e12", lambda value: 0 <= value <= MOST, "e-/s")
         for key in ("read", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "telegraph"):
@@ -78,11 +79,16 @@ class Noise:
             check(key, f"0 <= {key} <= 1, a part of all pixels", lambda value: 0 <= value <= 1)
         for key in ("temperature", "reference_temperature"):
             check(key, f"-273.15 < {key} <= 1000", lambda value: -ZERO_CELSIUS < value <= 1000, "deg C")
-        check("doubling", "0.1 <= doubling <= 1000", lambda value: 0.1 <= value <= 1000, "K")
+        check("doubling", "0.1 <= doubling <= 1000, and so that the dark current doubles or halves at most 60 times",
+              lambda value: 0.1 <= value <= 1000
+              and abs(self.temperature - self.reference_temperature) <= MOST_DOUBLINGS * value, "K")
         check("telegraph_switching", "1/1024 <= telegraph_switching <= 1",
               lambda value: SLOWEST_SWITCHING <= value <= 1, "per frame")
-        check("seed", "a whole number, 0 <= seed < 2**64", 
+        check("seed", "a whole number, 0 <= seed < 2**64",
               lambda value: isinstance(value, Integral) and 0 <= value < 2**64)
+        for part, size in (("hot_pixels", "hot_current"), ("telegraph_pixels", "telegraph")):
+            if getattr(self, part) and not getattr(self, size):
+                raise BadData(f"noise.{part} = {getattr(self, part):.6g} without noise.{size}: wanted both")
 
     @property
     def warmth(self) -> float:
@@ -94,6 +100,8 @@ def reset_noise(conversion_gain: float, temperature: float = 25.0) -> float:
     """Standard deviation of the charge that a reset leaves on a pixel [e-], sqrt(k T C) / q.
 
     conversion_gain: [V/e-], by which the capacitance is q / conversion_gain. temperature: [deg C].
-    Source: Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
+    Raises OutOfRange. Source: Johnson-Nyquist noise of a capacitor; Janesick, "Photon Transfer" (2007), section 11.2.
     """
+    if not 1e-12 <= conversion_gain <= 1:
+        raise OutOfRange("conversion gain", f"{conversion_gain:.6g} V/e-", "1e-12 <= conversion_gain <= 1")
     return math.sqrt(BOLTZMANN * (temperature + ZERO_CELSIUS) / (ELEMENTARY_CHARGE * conversion_gain))

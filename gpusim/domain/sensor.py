@@ -55,21 +55,26 @@ class Sensor:
         neither rounded nor clipped behind the well.
     channels: one letter per curve, such as ("R", "G", "B") or ("Y",).
     cfa: the mosaic's period as rows of these letters, such as ("RG", "GB") or, monochrome, ("Y",); at most 8 x 8.
-    stacked: every pixel has all channels, one above the other, whatever the mosaic.
+    stacked: every pixel has all channels, one above the other, whatever the mosaic. They are read one after the other
+        through the same columns: what columns have in common is that of all channels, what rows have is their own.
     fill_factor: aperture area over pixel area [1]; the aperture is a square unless `photodetector` gives its height and
         width over the pitch (their product is the fill factor then). centre: of the aperture from the pixel's middle
         over the pitch, (rows, cols).
-    offset: of the whole grid of pixels from the middle of the picture, (rows, cols) [pixel].
+    offset: of the whole grid of pixels from the middle of the picture, (rows, cols) [pixel]. Several captures make a
+        displaced grid; each wants a noise.seed of its own, and its own seed or frame number of the temporal noise.
     microlens: what pixels lose toward the corner, None: nothing. vignetting: the same as a map of relative responses
         over the frame, shape (ny, nx), nodes evenly from edge to edge, interpolated bilinearly.
 
     Exposure and readout:
     exposure_time: [s], or None: chosen by `auto_exposure`.
     row_time: [s] by which each row is exposed later than the one above; 0: all at once.
-    binning: neighbours of one colour that are read as one pixel, (rows, cols). binning_mode: "charge": their electrons
-        are added before readout, "digital": their digital numbers are averaged.
+    binning: neighbours of one colour that are read as one pixel, (rows, cols). binning_mode: "digital": their digital
+        numbers are averaged. "charge": their electrons are added on one node with as many full wells; response, dark
+        current, hot and dead pixels are those of each, while reset, offset, traps and all noise of reading are one
+        node's. Single wells that overflow are not followed.
     gain: [DN/e-] at analog gain 1, or None: such that a full well just reaches the white level; or by conversion_gain
-        [V/e-] of the pixel and adc_range [V], the voltage at the white level. analog_gain: [1] multiplies it.
+        [V/e-] of the pixel and adc_range [V], the voltage of all 2**bits - 1 steps (without a converter, of 65535).
+        analog_gain: [1] multiplies it.
     analog_offset: [e-] added before the converter. black_level: digital number of a dark pixel [DN].
     noise: see `Noise`.
     Raises BadData, OutOfRange, UnknownName.
@@ -102,9 +107,12 @@ class Sensor:
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self):
-        object.__setattr__(self, "channels", tuple(self.channels))
-        object.__setattr__(self, "cfa", tuple(self.cfa))
-        object.__setattr__(self, "binning", tuple(self.binning))
+        for key, kind in (("qe", Spectrum), ("noise", Noise), ("auto_exposure", AutoExposure)):
+            if not isinstance(getattr(self, key), kind):
+                raise BadData(f"sensor.{key} = {getattr(self, key)!r}: wanted a gpusim.{kind.__name__}")
+        for key in ("channels", "cfa", "binning"):
+            if isinstance(getattr(self, key), (list, tuple)):
+                object.__setattr__(self, key, tuple(getattr(self, key)))
         self._check_pixel()
         self._check_numbers()
         self._check_mosaic()
@@ -131,10 +139,12 @@ class Sensor:
             if side / 2 + abs(middle) * self.pixel_pitch > self.pixel_pitch / 2 * (1 + 1e-9):
                 raise OutOfRange("sensor.centre", self.centre, "so that the photodetector stays inside its pixel")
         if self.vignetting is not None:
-            map_ = np.asarray(self.vignetting, np.float64)
-            if map_.ndim != 2 or min(map_.shape) < 2 or not (np.isfinite(map_).all() and map_.min() >= 0
-                                                             and map_.max() > 0):
-                raise BadData("sensor.vignetting: wanted two or more rows and columns of finite responses >= 0, not "
+            try:
+                map_ = np.asarray(self.vignetting, np.float64)
+            except (TypeError, ValueError):
+                raise BadData("sensor.vignetting: wanted equally long rows of numbers") from None
+            if map_.ndim != 2 or min(map_.shape) < 2 or not (map_.min() >= 0 and 0 < map_.max() <= 1):
+                raise BadData("sensor.vignetting: wanted two or more rows and columns of responses within 0 .. 1, not "
                               "all 0")
             object.__setattr__(self, "vignetting", tuple(map(tuple, map_.tolist())))  # comparable, and stays as it is
 
@@ -162,13 +172,13 @@ class Sensor:
         check("binning", f"rows and columns, whole numbers 1 .. {LONGEST_PERIOD}",
               lambda pair: len(pair) == 2 and all(n in range(1, LONGEST_PERIOD + 1) for n in pair))
         if self.binning_mode not in ("charge", "digital"):
-            raise UnknownName("sensor.binning_mode", self.binning_mode, ("charge", "digital"))
+            raise UnknownName("sensor.binning_mode", str(self.binning_mode), ("charge", "digital"))
         if self.binning != (1, 1) and self.stacked:
             raise BadData("sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False")
         if self.binning != (1, 1) and self.binning_mode == "digital" and self.bits == FLOAT_BITS:
             raise BadData('sensor.binning_mode = "digital" without a converter: wanted "charge", or bits 1 .. 16')
         well = self.full_well * self.gain_dn_per_electron
-        if (self.gain or self.conversion_gain) and well < self.black_level:
+        if well < self.black_level:
             raise OutOfRange("sensor.full_well", f"{self.full_well:.6g} e- = {well:.6g} DN above black",
                              f"at least the black level, {self.black_level} DN: a larger gain or well")
         if not (self.saturation > 0 and self.black_level < self.white_level):
@@ -212,6 +222,11 @@ class Sensor:
         else:
             gain = 1.0 if self.bits == FLOAT_BITS else (self.white_level - self.black_level) / self.full_well
         return gain * self.analog_gain
+
+    @property
+    def dark_level(self) -> float:
+        """Mean digital number without light or dark current [DN]: the black level and the analog offset's."""
+        return self.black_level + self.gain_dn_per_electron * self.analog_offset
 
     @property
     def saturation(self) -> float:

@@ -57,11 +57,11 @@ def write_frame(path, frame):
     elif suffix == ".dng":
         colors = {} if sensor.is_monochrome else {"color_matrix": frame.rendering.camera_from_xyz,
                                                   "as_shot_neutral": frame.rendering.neutral}
-        write_dng(path, frame.raw, "" if sensor.is_monochrome else "".join(sensor.cfa), sensor.black_level,
+        write_dng(path, frame.raw, "" if sensor.is_monochrome else "".join(sensor.cfa), round(sensor.dark_level),
                   sensor.white_level, camera_name=f"gpusim {frame.camera.name}", **colors)
     else:
         with atomic_path(path) as temporary:
             np.savez_compressed(temporary, electrons=frame.mean, dn=frame.raw, cfa=np.array(sensor.cfa),
                                 channels=np.array(sensor.channels), exposure_time_s=frame.exposure_time,
-                                black_level=sensor.black_level, white_level=sensor.white_level,
+                                black_level=sensor.dark_level, white_level=sensor.white_level,
                                 gain_dn_per_e=sensor.gain_dn_per_electron)

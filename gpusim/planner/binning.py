@@ -1,10 +1,6 @@
-"""Which pixels binning adds, and the mosaic and the levels that are left."""
+"""Which pixels binning adds, and the mosaic that is left."""
 
 import numpy as np
-
-from gpusim.domain.errors import OutOfRange
-
-LARGEST = 65535  # of a digital number [DN]
 
 
 def binned(cfa_indices, binning) -> tuple[tuple[int, int], np.ndarray]:
@@ -36,18 +32,3 @@ def shortest_period(mosaic) -> np.ndarray:
                       if size % n == 0 and (mosaic == np.roll(mosaic, n, axis=axis)).all())
         mosaic = mosaic.take(range(period), axis=axis)
     return mosaic
-
-
-def binned_levels(black_level, white_level, binning, average) -> tuple[int, int]:
-    """Black and white level of digital numbers that were binned [DN].
-
-    Those of a mean are the pixels' own. Those of a sum are as many times as high; a white level beyond the 16 bits of a
-    digital number is cut there, and bright pixels with it. average: whether the numbers were averaged.
-    Raises OutOfRange when not even the black level is left below it.
-    """
-    pixels = 1 if average else binning[0] * binning[1]
-    if black_level * pixels >= LARGEST:
-        raise OutOfRange("sensor.black_level", f"{black_level} DN",
-                         f"black_level < {LARGEST / pixels:.5g} when {pixels} digital numbers are added: the sum's "
-                         f"black level must stay below {LARGEST}; average them, or bin charge")
-    return black_level * pixels, min(white_level * pixels, LARGEST)

@@ -14,7 +14,7 @@ from gpusim.planner.plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Colour transforms of one exposure; a camera value is (DN - black level) / (white level - black level).
+    """Colour transforms of one exposure; a camera value is (DN - dark level) / (white level - dark level).
 
     display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
     that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
@@ -39,7 +39,7 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
     sensor, processor = camera.sensor, camera.processor
     known = scene.light_is_known and processor.white_balance == "illuminant"
     light = scene.illuminant if known else photons_from_energy(illuminant("D65"))
-    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.black_level)
+    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     white = saturation  # the camera value of white in its strongest channel
     if plan.white_rate is not None:
         white *= plan.white_rate.max() * exposure_time * pixels / sensor.saturation

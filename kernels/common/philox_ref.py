@@ -32,6 +32,11 @@ def seed_words(seed: int) -> tuple[int, int]:
     return seed & 0xFFFFFFFF, seed >> 32
 
 
+def signed(word: int) -> int:
+    """Return the same 32 bits as a signed number, which is how kernels take integers."""
+    return word - 2**32 if word >= 2**31 else word
+
+
 def chance_word(chance: float, bits: int = 32) -> int:
     """The largest of those `bits` bits that a random word is at most with this chance, in steps of 2^-bits."""
     return max(round(chance * 2**bits), 1) - 1

@@ -12,6 +12,8 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.stage import Case, stage
 
+MOST = 1e30  # stands for infinity
+
 
 @stage
 def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
@@ -25,8 +27,8 @@ def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
         if plane is not None and tuple(plane.shape) != tuple(mean.shape):
             raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the mean, {tuple(mean.shape)}")
     for name, value in (("scale", scale), ("dark_time", dark_time)):
-        if not 0 <= value < np.inf:
-            raise OutOfRange(name, value, f"0 <= {name} < inf")
+        if not 0 <= value <= MOST:
+            raise OutOfRange(name, value, f"0 <= {name} <= {MOST:g}")
     size = mean.shape[0] * mean.shape[1]
     planes = [device.array(mean), *(None if plane is None else device.array(plane) for plane in (response, dark))]
     use = [int(plane is not None) for plane in planes[1:]]

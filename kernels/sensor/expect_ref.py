@@ -13,5 +13,6 @@ def expect(mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
         expected = expected * np.asarray(response, np.float32)
     expected = np.where(expected < 0, np.float32(0), expected)
     if dark is not None:
-        expected = expected + np.float32(dark_time) * np.asarray(dark, np.float32)
+        with np.errstate(over="ignore"):  # more than any well holds
+            expected = expected + np.float32(dark_time) * np.asarray(dark, np.float32)
     return expected

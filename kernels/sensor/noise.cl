@@ -85,7 +85,10 @@ __kernel void noise(
 #if TELEGRAPH
     const real trap = load(amplitude + start, lanes);
     const integer traps = trap > 0.0f;
-    if (ANY(traps)) electrons = electrons + trap * trap_state(pixel, traps, frame, switching, seed_low, seed_high);
+    if (ANY(traps)) {
+        const real moved = electrons + trap * trap_state(pixel, traps, frame, switching, seed_low, seed_high);
+        electrons = traps ? moved : electrons;
+    }
 #endif
 #if LINES
     const int line = number * (rows + cols);

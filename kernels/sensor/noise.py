@@ -19,13 +19,17 @@ Hard cases: mean 0 -> no photons; mean < 0 -> as 0; +inf -> full well; NaN -> Na
 Counts above 2^24 are rounded to float32, whose spacing is then 2 e- or more (the standard deviation is 4096 e-).
 """
 
+from numbers import Integral
+
 import numpy as np
 
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
-from gpusim.kernels.common.philox_ref import chance_word, seed_words
+from gpusim.domain.noise import SLOWEST_SWITCHING
+from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
-PHOTONS = ("none", "fast", "exact")
+PHOTONS = ("none", "fast", "exact")  # as the kernels number them
+MOST = 1e30  # [e-] stands for infinity
 
 
 @stage
@@ -48,17 +52,15 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    _check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
-           dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
+          dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
             raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}")
-    if frame_cols is None:
-        frame_cols = first[1] + cols
-    if not (min(first) >= 0 and first[1] + cols <= frame_cols):
-        raise OutOfRange("first, frame_cols", f"{first}, {frame_cols}", f"a tile of {cols} columns inside its frame")
+    frame_cols = checked_tile(cols, first, frame_cols)
     if photon == "exact" and not device.has_fp64:
         raise DeviceError(f'{device.name}: photon = "exact" needs float64, which this device lacks; use "fast"')
+    seed, frame, read = int(seed), int(frame), int(read)
     expected = device.array(expected)
     offset, amplitude = (None if plane is None else device.array(plane) for plane in (offset, amplitude))
     count = 1 if frames is None else frames
@@ -67,7 +69,7 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    key = [_signed(word) for word in seed_words(seed)]
+    key = [signed(word) for word in seed_words(seed)]
     common = {"WIDTH": width, "PHOTON": PHOTONS.index(photon), "READ_NOISE": int(read_noise > 0),
               "OFFSET": int(offset is not None), "TELEGRAPH": int(amplitude is not None),
               "LINES": int(row_noise > 0 or column_noise > 0), "CONVERTER": int(converter)}
@@ -75,20 +77,28 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
         device.launch("sensor.noise", "lines", (count, -(-rows // width) + -(-cols // width)), lines, count, rows,
-                      cols, *first, float(row_noise), float(column_noise), *key, _signed(frame), read, defines=common)
+                      cols, *first, float(row_noise), float(column_noise), *key, signed(frame), read, defines=common)
     planes = [expected if plane is None else plane for plane in (expected, offset, amplitude, lines)]
     device.launch("sensor.noise", "noise", (count, rows, -(-cols // width)), *planes, out, rows, cols,
-                  _signed((first[0] * frame_cols + first[1]) % 2**32), frame_cols, float(dark_electrons),
+                  signed((first[0] * frame_cols + first[1]) % 2**32), frame_cols, float(dark_electrons),
                   float(read_noise), chance_word(telegraph_switching, 31), float(full_well), *scale,
-                  float(white_level or 0.0), *key, _signed(frame), read, defines=common)
+                  float(white_level or 0.0), *key, signed(frame), read, defines=common)
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def _check(full_well, gain, white_level, photon, switching, seed, frame, frames, read, black_level,
-           **magnitudes):
+def checked_tile(cols, first, frame_cols) -> int:
+    """Columns of the frame in which a tile `cols` wide begins at `first`. Raises OutOfRange."""
+    frame_cols = first[1] + cols if frame_cols is None else frame_cols
+    if not (min(first) >= 0 and first[1] + cols <= frame_cols):
+        raise OutOfRange("first, frame_cols", f"{first}, {frame_cols}", f"a tile of {cols} columns inside its frame")
+    return frame_cols
+
+
+def check(full_well, gain, white_level, photon, switching, seed, frame, frames, read, black_level, **magnitudes):
+    """Raise OutOfRange or UnknownName for numbers that `noise` does not take."""
     for name, value in magnitudes.items():
-        if not 0 <= value < np.inf:
-            raise OutOfRange(name, value, f"0 <= {name} < inf")
+        if not 0 <= value <= MOST:
+            raise OutOfRange(name, value, f"0 <= {name} <= {MOST:g} [e-]")
     if not np.isfinite(black_level):
         raise OutOfRange("black_level", black_level, "a finite number [DN]")
     if not full_well > 0:
@@ -99,18 +109,13 @@ def _check(full_well, gain, white_level, photon, switching, seed, frame, frames,
         raise OutOfRange("white_level", white_level, "0 < white_level <= 65535 [DN], or None")
     if photon not in PHOTONS:
         raise UnknownName("photon", photon, PHOTONS)
-    if not 0 < switching <= 1:
-        raise OutOfRange("telegraph_switching", switching, "0 < telegraph_switching <= 1")
-    if frames is not None and not 0 < frames < 2**16:
-        raise OutOfRange("frames", frames, "1 .. 65535, or None")
+    if not SLOWEST_SWITCHING <= switching <= 1:  # a state is traced back through about the inverse of it
+        raise OutOfRange("telegraph_switching", switching, f"{SLOWEST_SWITCHING:g} <= telegraph_switching <= 1")
+    if frames is not None and not (isinstance(frames, Integral) and 0 < frames < 2**16):
+        raise OutOfRange("frames", frames, "a whole number, 1 .. 65535, or None")
     for name, value, bits in (("seed", seed, 64), ("frame", frame, 32), ("read", read, 31)):
-        if not 0 <= value < 2**bits:
-            raise OutOfRange(name, value, f"0 <= {name} < 2^{bits}")
-
-
-def _signed(word):
-    """Return the same 32 bits as a signed number, which is how kernels take integers."""
-    return word - 2**32 if word >= 2**31 else word
+        if not (isinstance(value, Integral) and 0 <= value < 2**bits):
+            raise OutOfRange(name, value, f"a whole number, 0 <= {name} < 2^{bits}")
 
 
 def cases():

@@ -11,8 +11,7 @@ A sensor has up to four such planes: the relative response [1], the offset [e-],
 """
 
 from gpusim.domain.errors import OutOfRange, UnknownName
-from gpusim.kernels.common.philox_ref import chance_word, seed_words
-from gpusim.kernels.sensor.noise import _signed
+from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PLANES = ("response", "offset", "dark", "telegraph")  # number of the plane: what keeps their random numbers apart
@@ -41,8 +40,8 @@ def pattern(device, rows, cols, plane, *, mean=0.0, pixel=0.0, row=0.0, column=0
     values = device.empty((rows, cols))
     device.launch("sensor.pattern", "pattern", (rows, -(-cols // width)), values, rows, cols, *first, frame_cols,
                   PLANES.index(plane), float(mean), float(pixel), float(row), float(column),
-                  int(dead > 0), _signed(chance_word(dead)), int(share > 0), _signed(chance_word(share)), float(scale),
-                  *map(_signed, seed_words(seed)), defines={"WIDTH": width})
+                  int(dead > 0), signed(chance_word(dead)), int(share > 0), signed(chance_word(share)), float(scale),
+                  *map(signed, seed_words(seed)), defines={"WIDTH": width})
     return values
 
 
