@@ -35,7 +35,7 @@ def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
     r being the mean rate of all valid values of a pixel, each weighted by its exposure time, or 0 if that is negative.
     The variance is not taken from each value alone: weights of their inverse would then favour the values that happen
     to be low, and the merged rate be about one electron short. Fixed patterns, telegraph noise and the clipping of
-    values below digital number 0 are not corrected for.
+    values below digital number 0 are not corrected for. Among averaged digital numbers saturated ones may be unseen.
 
     frames: objects with camera, exposure_time [s] and raw, shape (rows, cols) or (C, rows, cols) [DN], all alike.
     averaged: pixels whose digital numbers were averaged to one by digital binning [1]; rounding comes once more then.
