@@ -35,8 +35,7 @@ MOST = 1e30  # [e-] stands for infinity
 @stage
 def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
           column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
-          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0,
-          electrons=False):
+          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0, electrons=False):
     """Digital numbers of one frame, or of several.
 
     expected: mean electrons of this chip, shape (rows, cols) [e-]. offset: of every pixel [e-]. amplitude: of its

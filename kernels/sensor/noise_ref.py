@@ -19,8 +19,7 @@ TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; 1 to 3 are thos
 
 def noise(expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noise=0.0, row_noise=0.0,
           column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
-          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0,
-          electrons=False):
+          seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0, electrons=False):
     """See `gpusim.kernels.sensor.noise`."""
     check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
           dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
