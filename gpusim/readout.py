@@ -13,11 +13,10 @@ from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.expect import expect
-from gpusim.kernels.sensor.noise import noise
+from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
 
-MOST = 1e30  # [e-] a well that no charge fills, or charge that fills every well; [s]
 RESET = 2**30  # number of the read whose random numbers the reset has
 BATCH = 2**26  # [pixel] of frames that are drawn at once
 

@@ -5,7 +5,8 @@ A stage `area.name` is four files in `kernels/area/`:
     name.py        the contract: the host function `name(device, ...)`, `cases()` for the tests, `bench(rows, cols)`
     name_ref.py    `name(...)`: NumPy float64, reads like the formula, shares nothing with the kernels
     name.cl        the same as OpenCL C kernels
-    name_warp.py   the same as Warp kernels, with the same names and arguments as the OpenCL ones
+    name_warp.py   the same as Warp kernels, with the same names and arguments as the OpenCL ones; a function
+                   `specialised(kernel, **defines)` there makes those whose code depends on compile-time constants
 
 They are found by file name; there is no registry. Discontinuous stages state how they are compared in their cases.
 """

@@ -87,7 +87,8 @@ class AutoExposure:
     def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
         """Exposure time [s] and analog gain [1].
 
-        electron_rate: mean electrons per second of every pixel [e- s-1], shape (..., rows, cols).
+        electron_rate: mean electrons per second of every pixel, of light and dark current [e- s-1], shape (..., rows,
+            cols).
         saturation: electrons at which a pixel stops counting at an analog gain of 1 [e-] (`Sensor.saturation`).
         Raises BadData when there is no light to expose for, OutOfRange.
         """

@@ -10,9 +10,8 @@ Two to four roundings, the same bits on every device. NaN stays NaN.
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.sensor.noise import MOST
 from gpusim.kernels.stage import Case, stage
-
-MOST = 1e30  # stands for infinity
 
 
 @stage

@@ -29,7 +29,7 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
-MOST = 1e30  # [e-] stands for infinity
+MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
 @stage
