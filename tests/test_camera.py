@@ -247,10 +247,22 @@ def test_quantum_efficiency_is_a_fraction(value):
 # ------------------------------------------------------------------------------ processor, display, camera, tolerance
 
 
-@pytest.mark.parametrize("key", ["demosaic", "white_balance", "color"])
+@pytest.mark.parametrize("key", ["defects", "demosaic", "white_balance", "color"])
 def test_processor_names(key):
     with pytest.raises(UnknownName, match=f"processor.{key}"):
-        Processor(**{key: "best"})
+        Processor(**{key: "finest"})
+
+
+@pytest.mark.parametrize(("changes", "error", "words"), [
+    ({"denoise": -1}, OutOfRange, "denoise"), ({"denoise": float("nan")}, OutOfRange, "denoise"),
+    ({"table": object()}, OutOfRange, "only with demosaic"), ({"tone": (0, 1)}, BadData, "tone"),
+    ({"tone": ((0, 0),)}, BadData, "two or more"), ({"tone": ((0, 0), (1, 0.9))}, BadData, "from 0 to 1"),
+    ({"tone": ((0, 0), (0.5, 1.2), (1, 1))}, BadData, "increase"), ({"tone": ((-1, 0), (1, 1))}, BadData, "x >= 0"),
+    ({"tone": ((0, 0), (float("inf"), 1))}, BadData, "finite"),
+])
+def test_processor_refuses(changes, error, words):
+    with pytest.raises(error, match=words):
+        Processor(**changes)
 
 
 def test_srgb_matrix_is_the_standard_one():
@@ -274,6 +286,9 @@ def test_display_agrees_with_colour_science():
 @pytest.mark.parametrize(("changes", "error"), [
     ({"white": (0.3, 0.3, 0.4)}, BadData), ({"white": (0.9, 0.3)}, OutOfRange),
     ({"primaries": ((0.2, 0.2), (0.3, 0.3), (0.4, 0.4))}, BadData), ({"white": (0.3, 0.0)}, OutOfRange),
+    ({"white": (0.7, 0.2)}, BadData), ({"curve": "gamma"}, OutOfRange), ({"curve": 0.4}, OutOfRange),
+    ({"luminance": 0.0}, OutOfRange), ({"luminance": float("nan")}, OutOfRange),
+    ({"spectra": Spectrum([400, 700], [1, 1])}, BadData),
 ])
 def test_display_refuses(changes, error):
     with pytest.raises(error, match="display"):
@@ -470,12 +485,21 @@ hot_current_e_per_s = 200
 dead_pixels = 0.0001
 seed = 7
 [processor]
+defects = "detect"
+shading = true
+denoise = 0.5
 demosaic = "adaptive"
-white_balance = "none"
-color = "none"
+white_balance = "gray-world"
+color = "ridge"
 training = "munsell"
+target = "D50"
+tone = [[0, 0], [0.5, 0.6], [1.2, 1]]
 [display]
-name = "srgb"
+name = "projector"
+primaries = [[0.65, 0.33], [0.3, 0.6], [0.15, 0.05]]
+white = [0.33, 0.34]
+curve = 2.4
+luminance_cd_per_m2 = 48
 """))
     optics, made = camera.optics, camera.sensor
     assert camera.name == "bench"
@@ -492,7 +516,9 @@ name = "srgb"
             telegraph_pixels=0.01, telegraph=12.0, telegraph_switching=0.25, seed=7))
     np.testing.assert_allclose(made.microlens.angles, [0, np.pi / 6], rtol=ULPS)
     assert (list(made.microlens.response), made.microlens.shift) == ([1, 0.6], 0.5)
-    assert camera.processor == Processor("adaptive", "none", "none", "munsell")
+    assert camera.processor == Processor("detect", True, 0.5, "adaptive", None, "gray-world", "ridge", "munsell", "D50",
+                                         ((0, 0), (0.5, 0.6), (1.2, 1)))
+    assert camera.display == Display("projector", ((0.65, 0.33), (0.3, 0.6), (0.15, 0.05)), (0.33, 0.34), 2.4, 48.0)
 
 
 def test_voltages_and_reset_noise_of_the_capacitor(tmp_path):
@@ -608,7 +634,12 @@ def test_efficiency_from_csv(tmp_path):
     ('"mt9v024"', '"mt9v024"\nir_cut = {wavelengths_nm = [800, 900], values = [1, 1]}', "no wavelengths in common"),
     ("bits = 10", "bits = 10\n[processor]\ndemosaic = 'bilinaer'", "did you mean 'bilinear'"),
     ("bits = 10", "bits = 10\n[processor]\ntraining = 'munsel'", "did you mean 'munsell'"),
-    ("bits = 10", "bits = 10\n[display]\nname = 'crt'", r"display\.name"),
+    ("bits = 10", "bits = 10\n[display]\nname = 'crt'", "unknown display 'crt'"),
+    ("bits = 10", "bits = 10\n[display]\nname = 'srgb'\ncurve = 2.2", "is a known display"),
+    ("bits = 10", "bits = 10\n[display]\ncurve = 'gamma'", "an exponent"),
+    ("bits = 10", "bits = 10\n[display]\nprimaries = [[0.6, 0.3]]", "a list of 3 pairs"),
+    ("bits = 10", "bits = 10\n[processor]\ntarget = 'D67'", "unknown light"),
+    ("bits = 10", "bits = 10\n[processor]\ntone = [1, 2]", "a list of the pairs|2 numbers"),
 ])
 def test_bad_file_is_refused_by_file_and_key(tmp_path, old, new, words):
     assert old in MINIMAL

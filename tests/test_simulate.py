@@ -268,7 +268,7 @@ BAD = [
     (["flat", "--camera", "ktc.toml"], 'reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v'),
     (["flat", "--camera", "large.toml", "--size", "7x9"], "at least 8x8, one block of binning 4x4 in this mosaic"),
     (["flat", "--camera", "coarse.toml"], "f-number / pixel pitch"),
-    (["flat", "--camera", "plain.toml", "-o", "a.dng"], "the colour matrix"),
+    (["flat", "--camera", "plain.toml", "-o", "a.dng"], "another colour matrix"),
     (["light0.npz"], "allowed are 10 .."),
     (["negative.npz"], "radiance cannot be negative"),
     (["margin.npz"], "scene.margin = -5"),
@@ -292,7 +292,7 @@ def test_bad_input_is_one_line_and_status_2(arguments, words, capsys, tmp_path, 
 
 def make_bad_files():
     """Files that are well-formed and wrong, in the current folder."""
-    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="matrix"):
+    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="white-preserving"):
         Path(f"{name}.toml").write_text(
             f"[optics]\nf_number = {n}\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = {pitch}\nfull_well_e = 600\n"
             f"bits = {bits}\nqe = {qe}\n{sensor}\n[noise]\n{noise}\n[processor]\ncolor = '{color}'\n")

@@ -1,4 +1,4 @@
-"""Makes the tables of this folder: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz`.
+"""Makes the tables here: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz ISETCAM_SPECTRA.npz`.
 
 Run by hand when a source changes; the tables are part of the package, so nothing here runs in use. README.md of this
 folder names every source.
@@ -18,6 +18,7 @@ REFLECTANCE_SETS = {
     "objects": "Objects_Vhrel", "nature": "Nature_Vhrel", "skin": "Caucasian_Vhrel",
     "colorchecker-sg": "gretagDigitalColorSG",
 }  # our name: ISETCam's file in data/surfaces/reflectances
+DISPLAYS = {"lcd-apple": "LCD_Apple", "lcd-dell": "LCD_Dell", "crt-dell": "CRT_Dell", "oled-sony": "OLED_Sony"}
 
 
 def build_cie(path=HERE / "cie.npz"):
@@ -50,6 +51,22 @@ def build_reflectances(source, path=HERE / "reflectances.npz"):
             samples = isetcam[f"refl_{theirs}"][step].T
             tables[name] = samples[np.isfinite(samples).all(1)].astype(np.float32)
         np.savez_compressed(path, wavelengths=isetcam["wave"][step], **tables)
+
+
+def build_displays(source, path=HERE / "displays.npz"):
+    """Radiance of measured displays' primaries, 400, 410 .. 700 nm, and the exponent nearest to their curves."""
+    tables = {}
+    with np.load(source, allow_pickle=True) as isetcam:
+        for name, theirs in DISPLAYS.items():
+            curve = isetcam[f"disp_gamma_{theirs}"][:, :3].mean(axis=1)
+            curve = (curve - curve[0]) / (curve[-1] - curve[0])
+            codes = np.arange(256) / 255
+            exponents = np.arange(1.5, 3, 0.01)
+            error = np.abs(codes[:, None] ** exponents - curve[:, None]).max(axis=0)
+            tables[f"{name} spectra"] = isetcam[f"disp_spd_{theirs}"][:, :3].T.astype(np.float32)
+            tables[f"{name} exponent"] = exponents[error.argmin()]
+            print(f"{name}: exponent {exponents[error.argmin()]:.2f}, off by {error.min():.3f} of white at most")
+        np.savez_compressed(path, wavelengths=isetcam["wave"], **tables)
 
 
 def build_srgb(path=HERE / "srgb.npz"):
@@ -102,4 +119,5 @@ def smoothest_primaries(responses, targets):
 if __name__ == "__main__":
     build_cie()
     build_reflectances(sys.argv[1])
+    build_displays(sys.argv[2])
     build_srgb()

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
+from gpusim.data.displays import display_names, open_display
+from gpusim.data.lights import illuminant
 from gpusim.data.mosaics import mosaic
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
-from gpusim.domain.display import DISPLAYS
+from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName
 from gpusim.domain.exposure import AutoExposure
@@ -157,6 +159,23 @@ def _wholes(value):
     return tuple(value)
 
 
+def _pairs(count):
+    def read(value):
+        if type(value) is not list or (count and len(value) != count):
+            raise _Wanted(f"a list of {count or 'the'} pairs of numbers")
+        return tuple(_numbers(2)(pair) for pair in value)
+    return read
+
+
+def _number_or_srgb(value):
+    if value == "srgb":
+        return value
+    try:
+        return _number()(value)
+    except _Wanted:
+        raise _Wanted('"srgb" or an exponent') from None
+
+
 def _auto_exposure(value):
     known = {"method": ("method", _text), "level": ("level", _number()), "percentile": ("percentile", _number()),
              "longest_ms": ("longest", _number(_MILLI)), "most_gain": ("most_gain", _number())}
@@ -250,8 +269,19 @@ _NOISE = {
     "hot_current_e_per_s": ("hot_current", _number()),
     "seed": ("seed", _whole),
 }
-_PROCESSOR = {key: (key, _text) for key in ("demosaic", "white_balance", "color", "training")}
-_DISPLAY = {"name": ("name", _text)}
+_PROCESSOR = {
+    **{key: (key, _text) for key in ("defects", "demosaic", "table", "white_balance", "color", "training", "target")},
+    "shading": ("shading", _yes_no),
+    "denoise": ("denoise", _number()),
+    "tone": ("tone", _pairs(None)),
+}
+_DISPLAY = {
+    "name": ("name", _text),
+    "primaries": ("primaries", _pairs(3)),
+    "white": ("white", _numbers(2)),
+    "curve": ("curve", _number_or_srgb),
+    "luminance_cd_per_m2": ("luminance", _number()),
+}
 _SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
 
 
@@ -283,12 +313,27 @@ def _camera(path, table):
     optics = _lens(path, optics)
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     sensor["noise"] = _noise(path, _fields(path, table, "noise"), sensor)
-    display = _fields(path, table, "display").get("name", "srgb")
-    if display not in DISPLAYS:
-        raise UnknownName("display.name", display, DISPLAYS)
-    processor = Processor(**_fields(path, table, "processor"))
-    reflectances(processor.training)  # raises here, where the file can be named, rather than in the first frame
-    return Camera(name, optics, Sensor(**sensor), processor, DISPLAYS[display])
+    return Camera(name, optics, Sensor(**sensor), _processor(path, _fields(path, table, "processor")),
+                  _display(path, _fields(path, table, "display")))
+
+
+def _processor(path, fields):
+    """Processor of its fields, with its filter table read; names are looked up while the file is known."""
+    processor = Processor(**fields)
+    reflectances(processor.training)
+    illuminant(processor.target)
+    return processor
+
+
+def _display(path, fields):
+    """A display by its name, or of its own primaries, white and curve."""
+    name = fields.pop("name", None)
+    if not fields:
+        return open_display(name or "srgb")
+    if name in display_names():
+        raise BadFile(path, f"[display] name = {name!r} is a known display; leave out {', '.join(fields)}, or give it "
+                            "another name")
+    return Display(name or path.stem, **fields)
 
 
 def _noise(path, fields, sensor):

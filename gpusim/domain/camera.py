@@ -23,7 +23,7 @@ class Camera:
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
-        if self.processor.color == "matrix" and len(self.sensor.channels) < 3:
-            raise OutOfRange("processor.color", '"matrix"',
+        if self.processor.color != "none" and len(self.sensor.channels) < 3:
+            raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                              "colour needs at least 3")

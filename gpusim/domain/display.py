@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, check_range
+from gpusim.domain.spectrum import Spectrum
 
 
 @dataclass(frozen=True)
@@ -12,12 +13,18 @@ class Display:
     """A three-colour additive display; sRGB (IEC 61966-2-1) unless told otherwise.
 
     primaries: CIE 1931 (x, y) of red, green and blue; white: (x, y) of full red + green + blue.
+    curve: from code to light: "srgb", or the exponent of a power law ("gamma", 1 .. 4).
+    luminance: of white [cd m-2].
+    spectra: radiance of the three primaries at full drive [W m-2 sr-1 nm-1], 3 rows, where they are known.
     Raises BadData, OutOfRange.
     """
 
     name: str = "srgb"
     primaries: tuple = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
     white: tuple = (0.3127, 0.3290)
+    curve: str | float = "srgb"
+    luminance: float = 80.0
+    spectra: Spectrum | None = None
 
     def __post_init__(self):
         if np.shape(self.primaries) != (3, 2) or np.shape(self.white) != (2,):
@@ -27,6 +34,13 @@ class Display:
                 raise OutOfRange("display chromaticity", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
         if abs(np.linalg.det(_xyz(self.primaries))) < 1e-6:
             raise BadData(f"display.primaries = {self.primaries}: they lie on one line")
+        if (np.linalg.solve(_xyz(self.primaries), _xyz([self.white])[:, 0]) <= 0).any():
+            raise BadData(f"display.white = {self.white}: no mixture of the primaries {self.primaries}")
+        check_range("display", self, "curve", '"srgb" or the exponent of a power law, 1 .. 4',
+                    lambda value: value == "srgb" or 1 <= value <= 4)
+        check_range("display", self, "luminance", "0 < luminance <= 1e6", lambda value: 0 < value <= 1e6, "cd m-2")
+        if self.spectra is not None and self.spectra.values.shape[:-1] != (3,):
+            raise BadData(f"display.spectra: shape {self.spectra.values.shape}, wanted 3 rows: red, green, blue")
 
     @property
     def xyz_from_rgb(self) -> np.ndarray:
@@ -36,6 +50,28 @@ class Display:
         """
         primaries = _xyz(self.primaries)
         return primaries * np.linalg.solve(primaries, _xyz([self.white])[:, 0])
+
+    def decode(self, values) -> np.ndarray:
+        """Linear light, white = 1, of codes as fractions of the largest, 0 .. 1 (negative ones likewise below 0)."""
+        size = np.abs(values)
+        if self.curve == "srgb":
+            light = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+        else:
+            light = size**self.curve
+        return np.copysign(light, values)
+
+    def encode(self, light) -> np.ndarray:
+        """The inverse of `decode`."""
+        size = np.abs(light)
+        if self.curve == "srgb":
+            values = np.where(size <= 0.04045 / 12.92, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055)
+        else:
+            values = size ** (1 / self.curve)
+        return np.copysign(values, light)
+
+    def xyz(self, codes) -> np.ndarray:
+        """What the screen shows: CIE XYZ [cd m-2] of 8-bit codes, shape (..., 3) for (..., 3)."""
+        return self.luminance * self.decode(np.asarray(codes, np.float64) / 255) @ self.xyz_from_rgb.T
 
     @property
     def rgb_from_xyz(self) -> np.ndarray:
@@ -49,4 +85,6 @@ def _xyz(chromaticities):
     return np.stack([x / y, np.ones_like(x), (1 - x - y) / y])
 
 
-DISPLAYS = {"srgb": Display()}
+P3_PRIMARIES = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))  # SMPTE EG 432-1
+
+DISPLAYS = {"srgb": Display(), "display-p3": Display("display-p3", P3_PRIMARIES)}

@@ -1,33 +1,70 @@
-"""The image processor: from the mosaic of digital numbers to linear display colours."""
+"""The image processor: from the mosaic of digital numbers to display codes."""
 
 from dataclasses import dataclass
+from typing import Any
 
-from gpusim.domain.errors import UnknownName
+import numpy as np
 
-DEMOSAICS = ("bilinear", "adaptive")
-WHITE_BALANCES = ("illuminant", "none")
-COLORS = ("matrix", "none")
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+
+DEFECTS = ("none", "known", "detect")
+DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
+WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "none")
+COLORS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal", "none")
 
 
 @dataclass(frozen=True)
 class Processor:
-    """What is done to the raw image.
+    """What is done to the raw image, in this order.
 
-    demosaic: "bilinear", or "adaptive" (interpolates along the edges).
-    white_balance: "illuminant" (the scene's light is known; a perfect diffuser comes out neutral) or "none".
-    color: "matrix" (least-squares 3 x C transform to CIE XYZ, trained on reflectances under the scene's light) or
-        "none" (channels go to the display as they are).
-    training: name of the reflectance set that the matrix is trained on.
-    In either case a perfect diffuser in the scene's light renders as display white.
-    Raises UnknownName.
+    defects: dead and hot pixels are replaced: "known" (those of this chip, as a factory would list them), "detect"
+        (those that stand out of their neighbours) or "none".
+    shading: whether the lens's and the pixels' fall-off towards the corners is divided out.
+    denoise: strength of denoising before demosaicking; 1 as the noise model says, 0 not at all.
+    demosaic: of a Bayer mosaic, from fast to good: "bilinear", "malvar" (gradient-corrected), "adaptive" (along the
+        edges), "best" (regressed gains, knows noise and blur); and "learned" (local linear filters from a table), the
+        only one beside interpolation for other mosaics.
+    table: filters of "learned"; None: the built-in ones of Bayer mosaics.
+    white_balance: "illuminant" (the scene's light is known; a perfect diffuser comes out neutral), an estimate from the
+        picture ("gray-world", "max-rgb", "shades-of-gray", "red-blue"), or "none" (as if the light were `target`).
+    color: how the 3 x C transform to CIE XYZ is chosen (see `gpusim.planner.color.color_matrix`), or "none" (channels
+        go to the display as they are).
+    training: name of the reflectance set that the transform is trained on.
+    target: the light in which the picture shows the scene's surfaces.
+    tone: the tone curve, (x, y) of two or more nodes, both increasing: x a linear value (white = 1) encoded as sRGB,
+        y what is shown, encoded likewise, from 0 to 1; between the nodes a monotone cubic. () for none.
+    In either case a perfect diffuser in the scene's light renders as display white, before the tone curve.
+    Raises UnknownName, OutOfRange, BadData.
     """
 
+    defects: str = "none"
+    shading: bool = False
+    denoise: float = 0.0
     demosaic: str = "bilinear"
+    table: Any = None
     white_balance: str = "illuminant"
-    color: str = "matrix"
+    color: str = "white-preserving"
     training: str = "objects"
+    target: str = "D65"
+    tone: tuple = ()
 
     def __post_init__(self):
-        for key, known in (("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES), ("color", COLORS)):
+        for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
+                           ("color", COLORS)):
             if getattr(self, key) not in known:
                 raise UnknownName(f"processor.{key}", getattr(self, key), known)
+        check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
+        if self.table is not None and self.demosaic != "learned":
+            raise OutOfRange("processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"')
+        if self.tone:
+            nodes = np.asarray(self.tone, np.float64)
+            if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 2 or not np.isfinite(nodes).all():
+                raise BadData(f"processor.tone: shape {nodes.shape}, wanted (x, y) of two or more nodes, finite")
+            if not (np.diff(nodes, axis=0) > 0).all() or nodes[0, 0] < 0 or (nodes[0, 1], nodes[-1, 1]) != (0, 1):
+                raise BadData("processor.tone: wanted x and y that increase from node to node, x >= 0, y from 0 to 1")
+            object.__setattr__(self, "tone", tuple(map(tuple, nodes.tolist())))
+
+    @property
+    def estimates_white(self) -> bool:
+        """Whether the white comes from the picture."""
+        return self.white_balance not in ("illuminant", "none")

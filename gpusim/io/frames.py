@@ -35,9 +35,9 @@ def check_format(path, camera):
     if shown:
         raise OutOfRange("raw values for a .dng output", shown,
                          "digital numbers of a Bayer mosaic or a monochrome sensor; .npz holds any")
-    if not sensor.is_monochrome and camera.processor.color != "matrix":
+    if not sensor.is_monochrome and camera.processor.color == "none":
         raise OutOfRange("processor.color with a .dng output", f'"{camera.processor.color}"',
-                         '"matrix": a raw converter needs the colour matrix')
+                         '"white-preserving" or another colour matrix: a raw converter needs one')
 
 
 def write_frame(path, frame):

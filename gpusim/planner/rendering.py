@@ -43,7 +43,7 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
     white = saturation  # the camera value of white in its strongest channel
     if plan.white_rate is not None:
         white *= plan.white_rate.max() * exposure_time * pixels / sensor.saturation
-    if processor.color == "matrix":
+    if processor.color != "none":
         transform = color_matrix(_through(camera.optics, sensor.qe), light, reflectances(processor.training),
                                  display=camera.display)
         matrix, neutral = transform.matrix, transform.white

@@ -1,0 +1,32 @@
+"""From linear display light to what is stored: the display's curve, bent by the processor's tone curve."""
+
+import numpy as np
+
+from gpusim.domain.display import DISPLAYS, Display
+
+STEPS = 60  # of the bisection: float64 has no more
+
+
+def decoding(display: Display, tone: tuple = ()):
+    """The function from codes, as fractions of the largest, to the linear light before the tone curve.
+
+    tone: see `gpusim.domain.processor.Processor`.
+    """
+    if not tone:
+        return display.decode
+    from scipy.interpolate import PchipInterpolator  # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
+
+    scene = DISPLAYS["srgb"]
+    x, y = np.array(tone).T
+    shown = PchipInterpolator(x, y)
+
+    def light(codes):
+        wanted = scene.encode(display.decode(np.asarray(codes, np.float64)))
+        low, high = np.full(wanted.shape, x[0]), np.full(wanted.shape, x[-1])
+        for _ in range(STEPS):
+            middle = (low + high) / 2
+            above = shown(middle) >= wanted
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        return scene.decode(high)
+
+    return light

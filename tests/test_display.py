@@ -1,0 +1,135 @@
+"""Displays: curves, tone, what the screen radiates; measured ones against ISETCam's figures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gpusim.data.colorimetry import xyz
+from gpusim.data.displays import display_names, displayed, open_display
+from gpusim.data.lights import illuminant
+from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.planner.encoding import decoding
+
+CODES = np.arange(256) / 255
+
+
+@pytest.mark.parametrize("display", [Display(), Display(curve=1.0), Display(curve=2.2), DISPLAYS["display-p3"]])
+def test_curves_go_there_and_back(display):
+    light = display.decode(CODES)
+    assert (light[0], light[-1]) == (0, pytest.approx(1, abs=1e-15)) and (np.diff(light) > 0).all()
+    # IEC's rounded constants leave the two branches 3e-8 apart where they meet; elsewhere roundings
+    np.testing.assert_allclose(display.encode(light), CODES, atol=1e-7)
+    np.testing.assert_array_equal(display.decode(-CODES), -light)
+
+
+def test_srgb_curve_is_that_of_colour_science():
+    import colour
+
+    np.testing.assert_allclose(Display().decode(CODES), colour.models.eotf_sRGB(CODES), atol=1e-12)  # roundings
+
+
+def test_display_p3_is_that_of_colour_science():
+    import colour
+
+    p3 = colour.RGB_COLOURSPACES["Display P3"]
+    # derived from the same chromaticities, some ten roundings times the condition number, below 10
+    np.testing.assert_allclose(DISPLAYS["display-p3"].xyz_from_rgb, p3.matrix_RGB_to_XYZ, atol=1e-6)
+
+
+def test_a_red_beyond_srgb_fits_display_p3():
+    """The P3 red: outside of sRGB, inside of P3, so that one display clips it and the other shows it."""
+    red = DISPLAYS["display-p3"].xyz_from_rgb @ [1, 0, 0]
+    assert (DISPLAYS["srgb"].rgb_from_xyz @ red).min() < -0.03
+    np.testing.assert_allclose(DISPLAYS["display-p3"].rgb_from_xyz @ red, [1, 0, 0], atol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "white"), [
+    # Y of white [cd m-2] as ISETCam's displays have it (`whitexyz` of its files)
+    ("lcd-apple", 118.13991102), ("lcd-dell", 161.60696464), ("crt-dell", 98.82545429), ("oled-sony", 157.23115481)])
+def test_measured_displays_have_isetcam_s_luminance(name, white):
+    """ISETCam sums 10 nm samples, ours integrates the curves between them: 0.5 % apart on spectra with narrow peaks."""
+    display = open_display(name)
+    assert display.luminance == pytest.approx(white, rel=5e-3)
+    np.testing.assert_allclose(display.xyz([255, 255, 255]), xyz(display.spectra).sum(axis=0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["srgb", "lcd-apple", "crt-dell"])
+def test_the_screen_radiates_what_the_display_model_says(name):
+    """XYZ of the radiance, integrated, against primaries x curve.
+
+    Spectra are float32 (6e-8); of "srgb", their white is the tabulated D65, 3e-4 from the standard's chromaticity.
+    """
+    display = open_display(name)
+    codes = np.random.default_rng(1).integers(0, 256, (3, 4, 3)).astype(np.uint8)
+    scene = displayed(codes, display)
+    content = scene.content
+    nodes = content.wavelengths
+    for y in range(3):
+        for x in range(4):
+            reflectance = content.coefficients[:, y, x].astype(float) @ content.basis
+            light = scene.illuminant.at(nodes)
+            radiance = energy_from_photons(Spectrum(nodes, reflectance * light))
+            tolerance = 5e-3 if name == "srgb" else 1e-6  # srgb: basis and light have different nodes, products differ
+            np.testing.assert_allclose(xyz(radiance), display.xyz(codes[y, x]), rtol=0,
+                                       atol=tolerance * display.luminance)
+
+
+def test_a_picture_of_a_picture():
+    """The camera takes its own picture off a screen: greys come out grey again, by the same curve."""
+    from gpusim.data.cameras import open_camera
+    from gpusim.scheduler import Simulator
+
+    codes = np.zeros((48, 64, 3), np.uint8)
+    codes[:, :32], codes[:, 32:] = 255, 128
+    camera = open_camera("phone")  # without blur: diffraction would add 0.5 % of the white half to the grey one
+    camera = replace(camera, optics=replace(camera.optics, model="none"))
+    frame = Simulator(camera, device="opencl")(displayed(codes, open_display("lcd-apple")))
+    bright, dark = frame.linear[:, 12:36, 4:28].mean(axis=(1, 2)), frame.linear[:, 12:36, 36:60].mean(axis=(1, 2))
+    # 576 pixels of 1400 electrons and more, times at most 3 by the matrix: 0.35 % of noise; 3 of these
+    np.testing.assert_allclose(dark / bright, (128 / 255) ** 2.01, rtol=0.0105)
+    assert np.ptp(bright) < 0.0105 * bright.mean()
+
+
+def test_displayed_refuses():
+    picture = np.zeros((2, 2, 3), np.uint8)
+    with pytest.raises(BadData, match="no spectra"):
+        displayed(picture, open_display("display-p3"))
+    for wrong in (picture[..., :2], picture.astype(float), picture[0]):
+        with pytest.raises(BadData, match="uint8"):
+            displayed(wrong, open_display("srgb"))
+    with pytest.raises(UnknownName, match="did you mean 'lcd-apple'"):
+        open_display("lcd-aple")
+    assert {"srgb", "display-p3", "oled-sony"} <= {*display_names()}
+
+
+# ------------------------------------------------------------------------------------------------------------- tone
+
+
+def test_no_tone_is_the_display_s_curve():
+    np.testing.assert_array_equal(decoding(Display())(CODES), Display().decode(CODES))
+
+
+@pytest.mark.parametrize("display", [Display(), Display(curve=2.2)])
+def test_a_straight_tone_curve_changes_nothing(display):
+    """Bisection of 60 steps is exact to rounding; at the dark end sRGB's branches are 3e-8 apart."""
+    straight = decoding(display, ((0, 0), (0.3, 0.3), (1, 1)))
+    np.testing.assert_allclose(straight(CODES), display.decode(CODES), atol=1e-7)
+
+
+def test_tone_nodes_are_met():
+    """A node (x, y): the light whose sRGB value is x is shown with the sRGB code y; 1.2 is brighter than white."""
+    nodes = ((0.02, 0), (0.25, 0.2), (0.6, 0.75), (1.2, 1))
+    light = decoding(Display(), nodes)
+    x, y = np.array(nodes).T
+    # the cubic may end level: a rounding of 1e-16 in y then is its root in x
+    np.testing.assert_allclose(light(y), Display().decode(x), rtol=1e-7)
+    assert (np.diff(light(np.linspace(0, 1, 1001))) > 0).all()
+
+
+def test_white_of_d65_is_the_srgb_display_s():
+    white = xyz(illuminant("D65"))
+    # the standard's chromaticity is rounded to four decimals: half a unit over the smallest, 0.3127
+    np.testing.assert_allclose(Display().xyz_from_rgb.sum(axis=1), white / white[1], rtol=3e-4)
