@@ -13,7 +13,7 @@ from gpusim.domain.sensor import Sensor
 class Camera:
     """Everything between a scene's radiance and a picture of it.
 
-    Raises OutOfRange when the parts do not go together.
+    Raises OutOfRange and UnknownName when the parts do not go together.
     """
 
     name: str
@@ -23,7 +23,19 @@ class Camera:
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
+        self._check_mosaic()
         if self.processor.color != "none" and len(self.sensor.channels) < 3:
             raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                              "colour needs at least 3")
+
+    def _check_mosaic(self):
+        sensor, processor = self.sensor, self.processor
+        if sensor.is_monochrome or sensor.stacked:
+            return
+        mosaic = "/".join(sensor.cfa)
+        if processor.demosaic == "learned" and processor.table is not None:
+            processor.table.layout.shift(sensor.cfa)  # UnknownName unless the table is for this mosaic
+        elif not sensor.bayer_phase and processor.demosaic != "bilinear":
+            allowed = '"bilinear", or "learned" with a table made by `gpusim train-l3`'
+            raise OutOfRange("processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed)

@@ -1,0 +1,134 @@
+"""Colour of a camera: every way of choosing its matrix, the right and the wrong light, and estimates of the light.
+
+    python bench/color.py                       # tables of matrices: no device
+    python bench/color.py --scenes --device opencl:0 [--photo kodim01.png ...]
+
+CIEDE2000 between the 24 ColorChecker patches as the matrix shows them and as they are in D65, mean / maximum, without
+noise. Estimates are made from thumbnails of simulated, noisy pictures; for each its angular error from the true white
+[degree], and the mean CIEDE2000 of the ColorChecker in that light by the stored transform that the estimate leads to.
+"""
+
+import argparse
+
+import numpy as np
+
+from gpusim.data.cameras import open_camera
+from gpusim.data.charts import chart
+from gpusim.data.colorimetry import xyz
+from gpusim.data.lights import illuminant
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.spectrum import photons_from_energy
+from gpusim.io.scenes import open_scene
+from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.processor.thumbnail import thumbnail
+from gpusim.planner.balance import ESTIMATES, estimate_white
+from gpusim.planner.color import METHODS, color_matrix, transform_set
+from gpusim.planner.weights import product_weights
+
+LIGHTS = ("D65", "A", "FL11", "FL2")
+PATCHES = reflectances("colorchecker")
+CEILING = 0.95  # of saturation: where a neighbour is clipped, interpolated values are a little lower
+
+
+def differences(qe, light, matrix):
+    """CIEDE2000 of the 24 patches in `light` through a matrix to linear sRGB."""
+    import colour
+
+    weights = product_weights(PATCHES.wavelengths, qe, photons_from_energy(illuminant(light)))
+    shown = DISPLAYS["srgb"].xyz_from_rgb @ matrix @ weights @ PATCHES.values.T / weights.sum(1).max()
+    wanted = xyz(PATCHES, illuminant("D65")) / xyz(illuminant("D65"))[1]
+    white = np.array([0.3127, 0.3290])
+    return colour.delta_E(colour.XYZ_to_Lab(shown.T, white), colour.XYZ_to_Lab(wanted, white), method="CIE 2000")
+
+
+def row(*cells):
+    """Print a row of a Markdown table."""
+    print("|", " | ".join(map(str, cells)), "|")
+
+
+def table(title, *columns):
+    """Print the head of a Markdown table."""
+    print(f"\n{title}\n")
+    row(*columns)
+    row(*["---"] * len(columns))
+
+
+def matrices(qe):
+    """Each method, trained on objects and on Munsell chips."""
+    for training in ("objects", "munsell"):
+        table(f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS)
+        for method in METHODS:
+            errors = [differences(qe, light, color_matrix(qe, light, training, method=method).matrix)
+                      for light in LIGHTS]
+            row(method, *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
+        balanced = transform_set(qe, training, ["D65"])  # F D: balance the channels, then the matrix for daylight
+        errors = [differences(qe, light, balanced.at(color_matrix(qe, light, training).white).matrix)
+                  for light in LIGHTS]
+        row("stored D65 alone (F D)", *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
+
+
+def right_and_wrong(qe):
+    """Figure 12 of Farrell & Wandell: each light's transform in each light."""
+    table("Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS)
+    for light in LIGHTS:
+        row(light, *(f"{differences(qe, light, color_matrix(qe, taken, 'objects').matrix).mean():.2f}"
+                     for taken in LIGHTS))
+
+
+def estimates(camera, device, photos):
+    """Every estimate, in every light, from a chart, from overlapping discs of surfaces and from photographs."""
+    from gpusim.scheduler import Simulator  # the other tables need no device
+
+    sensor = camera.sensor
+    transforms = transform_set(sensor.qe, camera.processor.training, channels=sensor.channels)
+    simulator = Simulator(camera, device=device)
+    saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    scenes = {"colorchecker": lambda light: chart("colorchecker", light=light),
+              "dead leaves, objects": lambda light: chart("deadleaves", light=light, surfaces="objects"),
+              "dead leaves, nature": lambda light: chart("deadleaves", light=light, surfaces="nature")}
+    scenes |= {path: lambda light, path=path: open_scene(path, light=light) for path in photos}
+    for light in (*LIGHTS, "daylight-8000K"):
+        own = color_matrix(sensor.qe, light, camera.processor.training)
+        best, daylight = (differences(sensor.qe, light, transform.matrix).mean()
+                          for transform in (own, transforms.at(transforms.target_white)))
+        table(f"{light}: angular error [degree], mean CIEDE2000 (given light {best:.2f}, as if D65 {daylight:.2f})",
+              "scene", *ESTIMATES)
+        over_photos: list = []
+        for name, scene in scenes.items():
+            frame = simulator(scene(light))
+            values = bilinear(frame.raw, phase="".join(sensor.cfa), black_level=sensor.dark_level,
+                              scale=1 / (sensor.white_level - sensor.dark_level), device=simulator.device)
+            small = thumbnail(np.asarray(values), CEILING * saturation, device=simulator.device)
+            errors = []
+            for method in ESTIMATES:
+                white = estimate_white(small, method, transforms).white
+                cosine = white @ own.white / np.linalg.norm(white) / np.linalg.norm(own.white)
+                shown = differences(sensor.qe, light, transforms.at(white).matrix).mean()
+                errors.append((np.rad2deg(np.arccos(min(cosine, 1))), shown))
+            if name in photos:
+                over_photos.append(errors)
+            else:
+                row(name, *(f"{angle:.1f}, {shown:.1f}" for angle, shown in errors))
+        if photos:
+            row(f"{len(photos)} photographs, mean", *(f"{a:.1f}, {s:.1f}" for a, s in np.mean(over_photos, 0)))
+
+
+def main():
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--camera", default="phone")
+    parser.add_argument("--scenes", action="store_true", help="simulate scenes for the estimates of the light")
+    parser.add_argument("--photo", nargs="*", default=[], help="photographs to be lit and taken as well")
+    parser.add_argument("--device", default="auto")
+    given = parser.parse_args()
+    camera = open_camera(given.camera)
+    if given.scenes:
+        estimates(camera, given.device, given.photo)
+    else:
+        matrices(camera.sensor.qe)
+        right_and_wrong(camera.sensor.qe)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Demosaicking of a Bayer mosaic with Malvar, He and Cutler's linear filters, with black level and scale.
+
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
+and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+"""
+
+import numpy as np
+
+from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
+from gpusim.kernels.stage import Case, stage
+
+
+@stage
+def malvar(device, raw, *, phase, black_level, scale):
+    """Missing colours as the mean of the nearest samples, corrected by the Laplacian of the pixel's own colour.
+
+    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
+    Measured samples are kept. The mosaic is mirrored at its borders without repeating the end pixel, which keeps every
+    sample's colour; an axis of a single pixel mirrors onto itself. Nothing is clipped.
+    Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
+    Source: Malvar, He & Cutler 2004, "High-quality linear interpolation for demosaicing of Bayer-patterned color
+    images", ICASSP III-485, figure 2.
+    """
+    check_mosaic(raw, scale)
+    red_row, red_col = red_pixel(phase)
+    rows, cols = raw.shape
+    out = device.empty((3, rows, cols))
+    pairs = cols // 2 + 1  # enough for either column phase
+    run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
+    options = {"defines": {"GPU": 1}} if device.is_gpu else {"group": (1, 1)}
+    device.launch("processor.malvar", "malvar", (rows, -(-pairs // run)), device.array(raw, np.uint16), out,
+                  float(black_level), float(scale), red_row, red_col, run, rows, cols, **options)
+    return out
+
+
+def cases():
+    """All phases, odd and degenerate sizes, black, saturation, values below the black level."""
+    random = np.random.default_rng(7)
+    why = ("weights are 16ths, and sums of 16-bit integers with whole weights of at most 64 in all stay below 2^22: "
+           "exact, so only the subtraction and the product round: (1 + 2^-24)^2 - 1 < 2^-23 (1 + 2^-24) relative")
+    for phase in RED:
+        for rows, cols in ((1, 1), (1, 4), (5, 1), (2, 2), (2, 3), (3, 5), (63, 65), (16, 130)):
+            raw = random.integers(0, 65536, (rows, cols), np.uint16)
+            raw.flat[0], raw.flat[-1] = 0, 65535
+            yield Case(f"{phase} {rows}x{cols}",
+                       {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}, 2.0**-23 * (1 + 2.0**-24),
+                       why, metric="local")
+    checkers = np.where(np.add.outer(np.arange(12), np.arange(14)) % 3 == 0, 65535, 0).astype(np.uint16)
+    yield Case("black and saturated", {"raw": checkers, "phase": "GBRG", "black_level": 0.0, "scale": 1.0}, 0.0,
+               "16ths of whole numbers below 2^22 are exact", metric="exact")
+    yield Case("saturated", {"raw": np.full((6, 6), 65535, np.uint16), "phase": "RGGB", "black_level": 0.0,
+                             "scale": 1.0}, 0.0, "a flat field stays flat, and 16-bit integers are exact",
+               metric="exact")
+
+
+def bench(rows, cols):
+    """A 10-bit mosaic."""
+    raw = np.random.default_rng(7).integers(0, 1024, (rows, cols), np.uint16)
+    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
