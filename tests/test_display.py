@@ -133,3 +133,30 @@ def test_white_of_d65_is_the_srgb_display_s():
     white = xyz(illuminant("D65"))
     # the standard's chromaticity is rounded to four decimals: half a unit over the smallest, 0.3127
     np.testing.assert_allclose(Display().xyz_from_rgb.sum(axis=1), white / white[1], rtol=3e-4)
+
+
+# ------------------------------------------------------------------------------------------------------------- files
+
+
+def test_pictures_say_what_display_they_are_for(tmp_path):
+    """PNG: cICP 12, 13, 0, 1 is Display P3 (ITU-T H.273), read by Pillow's chunk reader; EXR: its chromaticities."""
+    import OpenEXR
+    from PIL import Image
+
+    from gpusim.io.exr import write_rgb_exr
+    from gpusim.io.images import write_png
+
+    picture = np.full((4, 5, 3), 100, np.uint8)
+    p3, gamma = open_display("display-p3"), Display("mine", curve=1.8)
+    chunks = {}
+    for name, display in (("p3", p3), ("gamma", gamma), ("srgb", DISPLAYS["srgb"])):
+        write_png(tmp_path / f"{name}.png", picture, display)
+        np.testing.assert_array_equal(Image.open(tmp_path / f"{name}.png"), picture)
+        chunks[name] = (tmp_path / f"{name}.png").read_bytes()
+        write_rgb_exr(tmp_path / f"{name}.exr", np.ones((3, 2, 2)), display=display)
+        found = OpenEXR.File(str(tmp_path / f"{name}.exr")).header()["chromaticities"]
+        np.testing.assert_allclose(found, np.ravel((*display.primaries, display.white)), rtol=1e-7)
+    assert b"cICP" + bytes([12, 13, 0, 1]) in chunks["p3"]
+    assert b"gAMA" + (55556).to_bytes(4, "big") in chunks["gamma"] and b"cICP" not in chunks["gamma"]
+    assert b"gAMA" not in chunks["srgb"] and b"cHRM" not in chunks["srgb"]
+    assert b"cHRM" + b"".join(x.to_bytes(4, "big") for x in (31270, 32900, 68000, 32000)) in chunks["p3"]

@@ -15,15 +15,18 @@ ALLOWED = {
     "gpusim.data": {"gpusim.domain"},
     "gpusim.io": {"gpusim.domain", "gpusim.data"},
     "gpusim.backends": {"gpusim.domain", "gpusim.kernels"},  # by path alone: it loads kernels by file name
-    "gpusim.kernels": {"gpusim.domain", "gpusim.backends"},
-    "gpusim.measure": {"gpusim.domain"},
+    "gpusim.kernels": {"gpusim.domain", "gpusim.backends", "gpusim.data"},  # data: built-in filter tables
+    "gpusim.measure": {"gpusim.domain", "gpusim.data", "gpusim.planner"},
     "gpusim.planner": {"gpusim.domain", "gpusim.data"},
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
     "gpusim.readout": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner"},
-    "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.kernels",
-                         "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.truth"},
+    "gpusim.developer": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner"},
+    "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer",
+                         "gpusim.kernels", "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.truth"},
+    "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.kernels", "gpusim.planner", "gpusim.scheduler"},
+    "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.scheduler"},
     "gpusim.focus": {"gpusim.domain", "gpusim.scheduler"},
     "gpusim.truth": {"gpusim.domain", "gpusim.planner"},
 }

@@ -57,7 +57,7 @@ class Display:
         if self.curve == "srgb":
             light = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
         else:
-            light = size**self.curve
+            light = size ** float(self.curve)
         return np.copysign(light, values)
 
     def encode(self, light) -> np.ndarray:
@@ -66,7 +66,7 @@ class Display:
         if self.curve == "srgb":
             values = np.where(size <= 0.04045 / 12.92, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055)
         else:
-            values = size ** (1 / self.curve)
+            values = size ** (1 / float(self.curve))
         return np.copysign(values, light)
 
     def xyz(self, codes) -> np.ndarray:

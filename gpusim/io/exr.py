@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, UnknownName
 from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
@@ -123,13 +124,16 @@ def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=Fal
     _write(path, channels, spectralLayoutVersion="1.0", **({} if reflectance else {"emissiveUnits": UNITS}))
 
 
-def write_rgb_exr(path, rgb, *, half=False):
-    """Write a linear picture, shape (3, rows, cols), with the chromaticities of sRGB. Raises BadData and BadFile."""
+def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):
+    """Write a linear picture, shape (3, rows, cols), with the chromaticities of the display that it is for.
+
+    Raises BadData and BadFile.
+    """
     rgb = np.asarray(rgb)
     if rgb.ndim != 3 or len(rgb) != 3 or rgb.size == 0:
         raise BadData(f"{path}: a picture needs shape (3, rows, cols), got {rgb.shape}")
     channels = {name: _narrowed(path, name, plane, half) for name, plane in zip("RGB", rgb, strict=True)}
-    _write(path, channels, chromaticities=(0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290))
+    _write(path, channels, chromaticities=tuple(np.ravel((*display.primaries, display.white)).tolist()))
 
 
 def _narrowed(path, name, plane, half):

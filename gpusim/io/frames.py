@@ -51,9 +51,9 @@ def write_frame(path, frame):
     check_format(path, frame.camera)
     suffix, sensor = frame_format(path), frame.camera.sensor
     if suffix == ".png":
-        write_png(path, frame.rgb)
+        write_png(path, frame.rgb, frame.camera.display)
     elif suffix == ".exr":
-        write_rgb_exr(path, frame.linear)
+        write_rgb_exr(path, frame.linear, display=frame.camera.display)
     elif suffix == ".dng":
         colors = {} if sensor.is_monochrome else {"color_matrix": frame.rendering.camera_from_xyz,
                                                   "as_shot_neutral": frame.rendering.neutral}
