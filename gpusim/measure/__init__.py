@@ -1,6 +1,12 @@
 """Measures of cameras and of pictures: what a laboratory would find."""
 
+from gpusim.measure.difference import ciede2000, samples_per_degree, scielab
+from gpusim.measure.fidelity import cpsnr, ssim
+from gpusim.measure.ideal import ideal
 from gpusim.measure.merge import MergeInputs, merge_inputs
 from gpusim.measure.photon_transfer import PhotonTransfer, photon_transfer
+from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
+from gpusim.measure.snr import snr, visible_snr
 
-__all__ = ["MergeInputs", "PhotonTransfer", "merge_inputs", "photon_transfer"]
+__all__ = ["EdgeResponse", "MergeInputs", "PhotonTransfer", "ciede2000", "cpsnr", "ideal", "merge_inputs", "mtf50",
+           "photon_transfer", "samples_per_degree", "scielab", "sfr", "snr", "ssim", "visible_snr"]

@@ -1,0 +1,125 @@
+"""How different two pictures look: CIEDE2000 of every pixel, and S-CIELAB, which sees as the eye does from afar."""
+
+import numpy as np
+
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.scene import Scene
+from gpusim.measure.ideal import ideal
+
+DIFFERENCES = ("cielab", "ciede2000")
+
+# XYZ to luminance, red-green and blue-yellow, by the digits of the authors' program (the paper rounds them).
+OPPONENT = np.array([[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569],
+                     [0.0859513, -0.5899859, 0.5011089]])
+# Weights and spreads [degree] of the Gaussians exp(-r^2 / spread^2) of each of them: table 1 of the paper.
+GAUSSIANS = (((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)), ((0.531, 0.0392), (0.330, 0.494)),
+             ((0.488, 0.0536), (0.371, 0.386)))
+
+
+def ciede2000(picture, reference, white=None) -> np.ndarray:
+    """CIEDE2000 colour difference of every pixel, float64 (rows, cols).
+
+    picture, reference: each a frame (`Frame`: its linear picture clipped to what the display can show, before tone
+        curve and 8 bits; those of the screen are `display.xyz(frame.rgb)`), a `Scene` (its `ideal` picture on the
+        display of the other's frame, nothing clipped), or XYZ, shape (3, ...), white Y about 1.
+    white: XYZ that counts as white, shape (3,); None: the display's, sRGB's where there is no frame.
+    Raises BadData. Source: CIE 142-2001, by colour-science.
+    """
+    return _difference("ciede2000", *_pair(picture, reference, white))
+
+
+def scielab(picture, reference, samples_per_degree: float, *, difference: str = "cielab", white=None) -> np.ndarray:
+    """S-CIELAB: colour difference of every pixel after the blur of the eye's colour channels, float64 (rows, cols).
+
+    picture, reference, white: see `ciede2000`; two dimensions. samples_per_degree: pixels to a degree of visual angle,
+    see `samples_per_degree`. difference: "cielab" (1976, as published) or "ciede2000". Raises BadData, OutOfRange,
+    UnknownName.
+    Source: Zhang & Wandell 1997, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5(1).
+    """
+    if difference not in DIFFERENCES:
+        raise UnknownName("difference", difference, DIFFERENCES)
+    picture, reference, white = _pair(picture, reference, white)
+    picture, reference = (eye_filtered(xyz, samples_per_degree) for xyz in (picture, reference))
+    return _difference(difference, picture, reference, white)
+
+
+def samples_per_degree(pitch: float, distance: float) -> float:
+    """Pixels of a display to a degree of visual angle; pitch: of its pixels [m], distance: to the eye [m].
+
+    Raises OutOfRange.
+    """
+    for key, value in (("pitch", pitch), ("distance", distance)):
+        if not 0 < value < np.inf:
+            raise OutOfRange(key, f"{value} m", f"0 < {key} < inf")
+    return float(np.radians(1) / (2 * np.arctan(pitch / (2 * distance))))
+
+
+def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
+    """XYZ (3, rows, cols) as the eye's opponent channels blur them, float64; beyond its border a picture is mirrored.
+
+    Each Gaussian, of unit sum, acts by its transfer function exp(-pi^2 spread^2 f^2) on the cosine series of the
+    mirrored picture, so that none is cut off; the channel's sum is scaled to keep uniform pictures as they are.
+    Raises BadData, OutOfRange.
+    """
+    from scipy.fft import dctn, idctn
+
+    xyz = np.asarray(xyz, np.float64)
+    if xyz.ndim != 3 or len(xyz) != 3:
+        raise BadData(f"wanted XYZ of the shape (3, rows, cols), got {xyz.shape}")
+    if not 0 < samples_per_degree < np.inf:
+        raise OutOfRange("samples_per_degree", samples_per_degree, "0 < samples_per_degree < inf")
+    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[1:])  # [cycle/degree]
+    squared = y[:, None] ** 2 + x**2
+    channels = []
+    for plane, gaussians in zip(np.tensordot(OPPONENT, xyz, 1), GAUSSIANS, strict=True):
+        transfer = sum(weight * np.exp(-((np.pi * spread) ** 2) * squared) for weight, spread in gaussians)
+        channels.append(idctn(dctn(plane) * transfer / transfer[0, 0]))
+    return np.tensordot(np.linalg.inv(OPPONENT), np.stack(channels), 1)
+
+
+def cielab(xyz, white) -> np.ndarray:
+    """CIE 1976 L*, a*, b* of XYZ, float64, shape (3, ...); white: XYZ, shape (3,). Source: CIE 15, colour-science."""
+    from colour.models import XYZ_to_Lab, XYZ_to_xy
+
+    last = np.moveaxis(np.asarray(xyz, np.float64), 0, -1) / white[1]
+    return np.moveaxis(XYZ_to_Lab(last, XYZ_to_xy(white)), -1, 0)
+
+
+def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
+    """XYZ (3, ...) of a frame, or XYZ as given, and those of white (3,). Raises BadData."""
+    display = picture.camera.display if hasattr(picture, "camera") else DISPLAYS["srgb"]
+    if hasattr(picture, "camera"):
+        picture = np.tensordot(display.xyz_from_rgb, np.clip(picture.linear.astype(np.float64), 0, 1), 1)
+    white = np.asarray(display.xyz_from_rgb.sum(1) if white is None else white, np.float64)
+    xyz = np.asarray(picture)
+    if xyz.dtype.kind not in "uif" or xyz.ndim < 1 or len(xyz) != 3:
+        raise BadData(f"picture of shape {xyz.shape} and type {xyz.dtype}: wanted a frame, a scene or XYZ (3, ...)")
+    if not np.isfinite(xyz).all():
+        raise BadData("picture: NaN or infinite values")
+    if white.shape != (3,) or not (np.isfinite(white) & (white > 0)).all():
+        raise BadData(f"white = {white.tolist()}: wanted XYZ above 0, shape (3,)")
+    return xyz.astype(np.float64), white
+
+
+def _pair(picture, reference, white):
+    """XYZ of both, of one shape, and of white."""
+    pair = [picture, reference]
+    frame = next((one for one in pair if hasattr(one, "camera")), None)
+    display = frame.camera.display if frame is not None else DISPLAYS["srgb"]
+    shape = next((np.shape(getattr(one, "linear", one))[-2:] for one in pair if not isinstance(one, Scene)), None)
+    pair = [ideal(one, display, shape) if isinstance(one, Scene) else one for one in pair]
+    white = display.xyz_from_rgb.sum(1) if white is None else white
+    (picture, white), (reference, _) = (shown(one, white) for one in pair)
+    if picture.shape != reference.shape:
+        raise BadData(f"pictures of different shapes, {picture.shape} and {reference.shape}")
+    return picture, reference, white
+
+
+def _difference(method, picture, reference, white):
+    first, second = cielab(picture, white), cielab(reference, white)
+    if method == "cielab":
+        return np.sqrt(((first - second) ** 2).sum(0))
+    from colour.difference import delta_E_CIE2000
+
+    return delta_E_CIE2000(np.moveaxis(first, 0, -1), np.moveaxis(second, 0, -1))

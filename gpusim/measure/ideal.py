@@ -1,0 +1,96 @@
+"""The picture that a perfect camera would show: a scene's colours, pixel by pixel, on a display."""
+
+import numpy as np
+
+from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
+from gpusim.data.lights import illuminant
+from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.scene import Basis, Cube, Scene
+from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
+from gpusim.planner.color import BRADFORD
+from gpusim.planner.sampling import AREA, frame_start, pixel_taps
+from gpusim.planner.weights import product_weights
+
+DAYLIGHT = "D65"  # assumed where the scene's light is not known
+
+
+def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, light: Spectrum | str | None = None,
+          luminance: float | None = None) -> np.ndarray:
+    """CIE 1931 XYZ of `scene` on `display`, without lens, noise or mosaic; float64 (3, rows, cols), white Y = 1.
+
+    The XYZ of every sample's spectrum, averaged over the area of the pixel, are adapted from the white of the light to
+    the display's (Bradford). Nothing is clipped to the display's gamut, and a lens's distortion is not followed.
+
+    shape: rows and columns, those of a binned frame; None: of the scene's frame.
+    light: shows the surfaces in this light instead of the scene's, as a camera's colour matrix aims at: photon radiance
+        at any scale, or the name of an illuminant. luminance: shown as display white [cd m-2], needed where the scene's
+        light is not known (the white is D65's then); None: that of a perfect diffuser.
+    Raises BadData (shape, light), OutOfRange.
+    """
+    eye = energy_from_photons(cmf())  # at its own 1 nm; a light's table may be coarse
+    if not scene.light_is_known and light is not None:
+        raise BadData(f"ideal: {scene.name} is radiance, not reflectance: it cannot be shown in another light")
+    if luminance is not None and not 0 < luminance < np.inf:
+        raise OutOfRange("luminance of white", f"{luminance} cd m-2", "0 < luminance < inf")
+    if isinstance(light, str):
+        light = photons_from_energy(illuminant(light))
+    weights = product_weights(scene.wavelengths, eye, light or scene.illuminant)
+    white = weights.sum(1)
+    if not scene.light_is_known:
+        if luminance is None:
+            raise BadData(f"ideal: the light of {scene.name} is not known; wanted luminance = that of white [cd m-2]")
+        white = product_weights(scene.wavelengths, eye, photons_from_energy(illuminant(DAYLIGHT)))
+        white = white.sum(1) / white[1].sum()
+        weights = weights * (LUMINOUS_EFFICACY / luminance)
+    else:
+        scale = white[1] if luminance is None or light else luminance / LUMINOUS_EFFICACY
+        weights, white = weights / scale, white / white[1]
+    gains = (BRADFORD @ display.xyz_from_rgb.sum(1)) / (BRADFORD @ white)
+    samples = _seen(scene, np.linalg.solve(BRADFORD, gains[:, None] * BRADFORD) @ weights)
+    return _binned(_pixels(scene, samples), shape)
+
+
+def _seen(scene, weights):
+    """Sums over wavelength of all samples in the frame, (3, rows, cols); what stands in front hides what is behind."""
+    middle = np.s_[scene.margin : -scene.margin or None, scene.margin : -scene.margin or None]
+    planes = _sums(scene.content, weights, middle)
+    for layer in scene.layers[::-1]:
+        alpha = np.asarray(layer.alpha, np.float64)[middle]
+        planes = planes * (1 - alpha) + _sums(layer.content, weights, middle) * alpha
+    return planes
+
+
+def _sums(content, weights, middle):
+    if isinstance(content, Cube | Basis):
+        planes, table = ((content.values, weights) if isinstance(content, Cube) else
+                         (content.coefficients, weights @ content.basis.T))
+        total = np.zeros((3, *planes[0][middle].shape))
+        for plane, column in zip(planes, table.T, strict=True):  # one after the other: a cube in float64 is large
+            total += column[:, None, None] * plane[middle]
+        return total
+    return (weights @ content.spectra.T)[:, content.ids[middle]] * content.shading[middle]
+
+
+def _pixels(scene, planes):
+    """Means of the samples over the area of each pixel."""
+    if scene.samples_per_pixel == 1:
+        return planes
+    for axis, pixels in ((1, scene.shape[0]), (2, scene.shape[1])):
+        samples, ratio = planes.shape[axis], scene.samples_per_pixel
+        taps = pixel_taps(samples, pixels, ratio, 1.0, frame_start(samples, pixels, ratio), AREA)
+        planes = np.moveaxis(planes, axis, -1)
+        planes = sum(planes[..., taps.start + t] * weight for t, weight in enumerate(taps.weights.T))
+        planes = np.moveaxis(planes, -1, axis)
+    return planes
+
+
+def _binned(planes, shape):
+    if shape is None or tuple(shape) == planes.shape[1:]:
+        return planes
+    rows, cols = shape
+    by, bx = planes.shape[1] // max(rows, 1), planes.shape[2] // max(cols, 1)
+    if rows < 1 or cols < 1 or by < 1 or bx < 1 or (planes.shape[1] // by, planes.shape[2] // bx) != (rows, cols):
+        raise BadData(f"ideal: {rows} x {cols} pixels do not come from the scene's {planes.shape[1]} x "
+                      f"{planes.shape[2]} by binning")
+    return planes[:, : rows * by, : cols * bx].reshape(3, rows, by, cols, bx).mean(axis=(2, 4))
