@@ -94,7 +94,7 @@ def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | s
     nodes, surfaces = _surfaces(reflectances)
     eye = product_weights(nodes, cmf(), energy_from_photons(_photons(target_light)))
     seen = _training(nodes, surfaces, qe, _photons(light), eye)
-    adapt = _adaptation(seen.xyz_white, display.xyz_from_rgb.sum(1))
+    adapt = adaptation(seen.xyz_white, display.xyz_from_rgb.sum(1))
     if method == "diagonal":
         matrix = _channels_as_primaries(seen.camera_white, channels)
         return ColorTransform(matrix, np.linalg.solve(adapt, display.xyz_from_rgb @ matrix), seen.camera_white)
@@ -104,7 +104,7 @@ def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | s
         if not (BRADFORD @ shown > 0).all():
             raise BadData(f"color matrix: the matrix for {_name(target_light)} takes white in {_name(light)} to XYZ "
                           f"{np.round(shown, 4).tolist()}, no colour that can be scaled to white")
-        to_xyz = _adaptation(shown, seen.xyz_white) @ fixed
+        to_xyz = adaptation(shown, seen.xyz_white) @ fixed
     else:
         fit = {"white-preserving": _white_preserving, "cielab": _least_in_cielab,
                "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
@@ -150,7 +150,7 @@ def _determined(of):
     return of
 
 
-def _adaptation(white, to):
+def adaptation(white, to):
     """Matrix (3, 3) that takes XYZ `white` to the white `to`, scaling cone-like responses."""
     return np.linalg.solve(BRADFORD, ((BRADFORD @ to) / (BRADFORD @ white))[:, None] * BRADFORD)
 

@@ -4,12 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
+from gpusim.domain.optics import Optics
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.planner.balance import estimate_white
-from gpusim.planner.color import TransformSet, color_matrix, transform_set
+from gpusim.planner.color import TransformSet, adaptation, color_matrix, transform_set
 from gpusim.planner.plan import Plan
+
+XYZ = ("X", "Y", "Z")  # what learned filters may give for the target light, in place of the camera's channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,27 +44,41 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
     Raises BadData (see `color_matrix`).
     """
     scene = plan.scene
-    sensor, processor = camera.sensor, camera.processor
+    sensor, processor, letters = camera.sensor, camera.processor, planes_of(camera)
     known = scene.light_is_known and processor.white_balance == "illuminant"
     light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
+    rates = plan.white_rate
+    if rates is not None and letters != XYZ:
+        rates = rates[[sensor.channels.index(letter) for letter in letters]]
     saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     white = saturation  # the camera value of white in its strongest channel
-    if plan.white_rate is not None:
-        white *= plan.white_rate.max() * exposure_time * pixels / sensor.saturation
+    if rates is not None:
+        white *= rates.max() * exposure_time * pixels / sensor.saturation
+    if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
+        neutral = xyz(illuminant(processor.target))
+        neutral = neutral / neutral[1]
+        matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
+        return _scaled(matrix, neutral, None, f"XYZ in {processor.target} to the display", white, saturation)
     if processor.color != "none":
-        made = color_matrix(_through(camera.optics, sensor.qe), light, processor.training, method=processor.color,
-                            target_light=processor.target, display=camera.display, channels=sensor.channels)
+        made = color_matrix(_efficiency(camera, letters), light, processor.training, method=processor.color,
+                            target_light=processor.target, display=camera.display, channels=letters)
         matrix, neutral, to_xyz = made.matrix, made.white, made.xyz
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
     else:
-        neutral = np.ones(len(sensor.channels))
-        if known and plan.white_rate is not None:
-            neutral = plan.white_rate / plan.white_rate.max()
-        (matrix, model), to_xyz = _channels_shown(sensor.channels, neutral), None
+        neutral = np.ones(len(letters))
+        if known and rates is not None:
+            neutral = rates / rates.max()
+        (matrix, model), to_xyz = _channels_shown(letters, neutral), None
     if len(neutral) > 1:
         model += (f", white balance for {light.name or 'the scene light'}" if known else
                   f", as if the light were {processor.target}")
     return _scaled(matrix, neutral, to_xyz, model, white, saturation)
+
+
+def planes_of(camera: Camera) -> tuple[str, ...]:
+    """Letters of what demosaicking gives: the sensor's channels, or what learned filters make of them."""
+    table = camera.processor.table
+    return camera.sensor.channels if table is None else table.layout.outputs
 
 
 def balanced(once: Rendering, camera: Camera, transforms: TransformSet, thumbnail, floor: float) -> Rendering:
@@ -72,7 +90,7 @@ def balanced(once: Rendering, camera: Camera, transforms: TransformSet, thumbnai
     processor = camera.processor
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
     if processor.color == "none":
-        matrix, model = _channels_shown(camera.sensor.channels, estimate.white)
+        matrix, model = _channels_shown(planes_of(camera), estimate.white)
         return _scaled(matrix, estimate.white, None, f"{model}, {estimate.model}", once.white, once.saturation)
     made = transforms.at(estimate.white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {estimate.model}"
@@ -83,8 +101,9 @@ def transforms_of(camera: Camera) -> TransformSet:
     """Colour transforms of this camera for a set of lights, between which an estimate of the light chooses."""
     processor = camera.processor
     method = "white-preserving" if processor.color == "none" else processor.color
-    return transform_set(_through(camera.optics, camera.sensor.qe), processor.training, channels=camera.sensor.channels,
-                         method=method, target_light=processor.target, display=camera.display)
+    letters = planes_of(camera)
+    return transform_set(_efficiency(camera, letters), processor.training, channels=letters, method=method,
+                         target_light=processor.target, display=camera.display)
 
 
 def _scaled(matrix, neutral, to_xyz, model, white, saturation):
@@ -108,8 +127,15 @@ def _channels_shown(letters, neutral):
     return np.eye(len(letters))[chosen] * balance, "channels to display primaries"
 
 
-def _through(optics, qe):
-    """Quantum efficiency behind the lens."""
+def _efficiency(camera, letters):
+    """Quantum efficiency of the channels with these letters behind the lens."""
+    qe = camera.sensor.qe
+    rows = np.atleast_2d(qe.values)[[camera.sensor.channels.index(letter) for letter in letters]]
+    return through(camera.optics, Spectrum(qe.wavelengths, rows, qe.name))
+
+
+def through(optics: Optics, qe: Spectrum) -> Spectrum:
+    """Quantum efficiency behind a lens."""
     if not isinstance(optics.transmission, Spectrum):
         return qe
     nodes = np.union1d(qe.wavelengths, optics.transmission.wavelengths)

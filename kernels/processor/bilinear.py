@@ -24,12 +24,17 @@ def bilinear(device, raw, *, phase, black_level, scale):
     red_row, red_col = red_pixel(phase)
     rows, cols = raw.shape
     out = device.empty((3, rows, cols))
-    pairs = cols // 2 + 1  # enough for either column phase
-    run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
-    device.launch("processor.bilinear", "bilinear", (rows, -(-pairs // run)), device.array(raw, np.uint16), out,
-                  float(black_level), float(scale), red_row, red_col, run, rows, cols,
-                  group=None if device.is_gpu else (1, 1))
+    run, shape = items(device, cols)
+    device.launch("processor.bilinear", "bilinear", (-(-rows // shape["ROWS"]), -(-cols // run)),
+                  device.array(raw, np.uint16), out, float(black_level), float(scale), red_row, red_col, run, rows,
+                  cols, defines=shape | {"ELECTRONS": 0}, group=None if device.is_gpu else (1, 1))
     return out
+
+
+def items(device, cols):
+    """Columns of a work-item, and its ROWS and vector WIDTH: whole rows on CPUs, many small items on GPUs."""
+    wide = device.kind == "opencl" and not device.is_gpu
+    return (-(-cols // 8) * 8 if wide else 1), {"WIDTH": 8 if wide else 1, "ROWS": 4}
 
 
 def cases():

@@ -16,7 +16,7 @@ def color(device, camera, matrix, *, ceiling=None):
     camera: shape (C, rows, cols). matrix: shape (3, C), `gpusim.planner.color`. ceiling: shape (C,) or None. Camera
     values above it are clipped first: with the camera's response to white, scaled so that its largest entry is the
     saturation level, blown-out highlights turn white instead of taking the balance's tint. The result is not clipped
-    (display.srgb does): colours outside the display's gamut stay negative or above 1. NaN stays NaN.
+    (display.encode does): colours outside the display's gamut stay negative or above 1. NaN stays NaN.
     Returns shape (3, rows, cols). Raises BadData. Source: Farrell & Wandell, section 6.2.
     """
     channels, rows, cols = camera.shape

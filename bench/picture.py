@@ -1,0 +1,277 @@
+"""From raw numbers to a picture, against OpenCV's demosaicking and a camera pipeline in Halide.
+
+    python bench/picture.py                 CPUs: ratios of one interleaved run, as Markdown
+    python bench/picture.py --gpu           GPUs: time per launch, launches back to back
+
+The pipeline in Halide is the one that its authors introduced it with (Ragan-Kelley et al. 2012, ACM Transactions on
+Graphics 31 (4), section 6; after Adams et al. 2010, The Frankencamera), from its description: hot pixels suppressed,
+edge-directed demosaicking on the four half-size planes, colour matrix in fixed point, curve by table, sharpening. It is
+scheduled by hand as theirs is, fused over strips of rows with line buffers; table look-ups are left scalar, which is
+faster on CPUs with slow gathers. It reads a margin of pixels instead of mirroring the border, so it has less to do at
+the edges, and more between them: `processor.develop` is bilinear and does not sharpen, but works in float32, with any
+phase, and rounds codes exactly.
+
+Needs `pip install opencv-python-headless halide`.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from gpusim.backends import open_device
+from gpusim.backends.probe import devices
+from gpusim.kernels.stage import public_function, stage_module
+
+SIZE = 1080, 1920
+STAGES = ("processor.bilinear", "processor.color", "display.encode", "processor.develop")
+MATRIX = ((1.9, -0.6, -0.3), (-0.3, 1.6, -0.3), (0.0, -0.5, 1.5))
+MARGIN_ROWS, MARGIN_COLS = 12, 16  # of the mosaic around Halide's picture
+
+
+def camera_pipeline(rows, cols, matrix, curve):
+    """Halide function of the picture (cols, rows, 3) uint8, and its input: GRBG mosaic with a margin, uint16."""
+    import halide as hl
+
+    x, y, c, value = (hl.Var(name) for name in ("x", "y", "c", "value"))
+    raw = hl.ImageParam(hl.UInt(16), 2)
+    raw.dim(0).set_bounds(0, cols + 2 * MARGIN_COLS)
+    raw.dim(1).set_bounds(0, rows + 2 * MARGIN_ROWS).set_stride(cols + 2 * MARGIN_COLS)
+    mean = hl.rounding_halving_add
+
+    number, calm, plane = hl.Func("number"), hl.Func("calm"), hl.Func("plane")
+    number[x, y] = hl.i16(raw[x + MARGIN_COLS, y + MARGIN_ROWS])
+    brightest = hl.max(hl.max(number[x - 2, y], number[x + 2, y]), hl.max(number[x, y - 2], number[x, y + 2]))
+    calm[x, y] = hl.clamp(number[x, y], hl.i16(0), brightest)
+    plane[x, y, c] = hl.mux(c, [calm[2 * x, 2 * y], calm[2 * x + 1, 2 * y], calm[2 * x, 2 * y + 1],
+                                calm[2 * x + 1, 2 * y + 1]])
+
+    def sample(number):
+        return lambda dx=0, dy=0: plane[x + dx, y + dy, number]
+
+    green_r, red, blue, green_b = map(sample, range(4))  # green of the red rows, ... in the 2 x 2 cell
+    at_red, at_blue = hl.Func("green_at_red"), hl.Func("green_at_blue")
+
+    def smoother(one, other):  # the mean of the pair that differs less
+        return hl.select(hl.absd(*one) < hl.absd(*other), mean(*one), mean(*other))
+
+    at_red[x, y] = smoother((green_r(1), green_r()), (green_b(0, -1), green_b()))
+    at_blue[x, y] = smoother((green_b(-1), green_b()), (green_r(0, 1), green_r()))
+
+    def carried(color, green, here, p, q):  # a colour's mean, with what green does beyond its own mean
+        return here + mean(color(*p), color(*q)) - mean(green[x + p[0], y + p[1]], green[x + q[0], y + q[1]])
+
+    def diagonal(color, green, here, one, other):
+        return hl.select(hl.absd(color(*one[0]), color(*one[1])) < hl.absd(color(*other[0]), color(*other[1])),
+                         carried(color, green, here, *one), carried(color, green, here, *other))
+
+    here = (0, 0)
+    cells = (
+        (carried(red, at_red, green_r(), (-1, 0), here), red(),
+         diagonal(red, at_red, at_blue[x, y], (here, (-1, 1)), ((-1, 0), (0, 1))),
+         carried(red, at_red, green_b(), here, (0, 1))),
+        (green_r(), at_red[x, y], at_blue[x, y], green_b()),
+        (carried(blue, at_blue, green_r(), here, (0, -1)),
+         diagonal(blue, at_blue, at_red[x, y], (here, (1, -1)), ((1, 0), (0, -1))), blue(),
+         carried(blue, at_blue, green_b(), here, (1, 0))))
+    colors = []
+    for cell in cells:
+        parts = [hl.Func(f"part{number}") for number in range(4)]
+        for part, expression in zip(parts, cell, strict=True):
+            part[x, y] = expression
+        corner = [part[x // 2, y // 2] for part in parts]
+        colors.append(hl.select(y % 2 == 0, hl.select(x % 2 == 0, corner[0], corner[1]),
+                                hl.select(x % 2 == 0, corner[2], corner[3])))
+    camera, corrected, curved, table = hl.Func("camera"), hl.Func("corrected"), hl.Func("curved"), hl.Func("table")
+    camera[x, y, c] = hl.mux(c, colors)
+    fixed = np.rint(256 * np.asarray(matrix)).astype(int)
+    sums = [sum((hl.i32(camera[x, y, k]) * int(row[k]) for k in range(3)), hl.i32(0)) // 256 for row in fixed]
+    last = len(curve) - 1
+    corrected[x, y, c] = hl.u16(hl.clamp(hl.mux(c, sums), 0, last))
+    table[value] = hl.Buffer(curve)[value]
+    curved[x, y, c] = table[hl.i32(hl.unsafe_promise_clamped(corrected[x, y, c], 0, last))]
+    down, blurred, picture = hl.Func("down"), hl.Func("blurred"), hl.Func("picture")
+    down[x, y, c] = mean(mean(curved[x, y - 1, c], curved[x, y + 1, c]), curved[x, y, c])
+    blurred[x, y, c] = mean(mean(down[x - 1, y, c], down[x + 1, y, c]), down[x, y, c])
+    detail = hl.i16(curved[x, y, c]) - hl.i16(blurred[x, y, c])
+    picture[x, y, c] = hl.u8_sat(hl.i16(curved[x, y, c]) + detail // 2)
+
+    lanes, strip = 32, 36
+    strips, steps, two, xi, yi = (hl.Var(name) for name in ("strips", "steps", "two", "xi", "yi"))
+    picture.bound(c, 0, 3).bound(x, 0, cols).bound(y, 0, rows).compute_root()
+    picture.split(y, strips, steps, strip).split(steps, steps, two, 2).split(x, x, xi, 2 * lanes)
+    picture.reorder(xi, c, two, x, steps, strips).vectorize(xi, lanes).unroll(c).parallel(strips)
+    table.compute_root()
+    calm.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 16).vectorize(x, lanes)
+    plane.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).vectorize(x, lanes)
+    plane.reorder(c, x, y).unroll(c)
+    curved.compute_at(picture, steps).store_at(picture, strips).fold_storage(y, 8).align_bounds(x, 2).align_bounds(y, 2)
+    curved.reorder(c, x, y).tile(x, y, x, y, xi, yi, 2 * lanes, 2).reorder(xi, c, yi, x, y).unroll(c).unroll(yi)
+    curved.unroll(xi, 8)
+    corrected.compute_at(curved, x).reorder(c, x, y).vectorize(x, lanes).unroll(c)
+    camera.compute_at(curved, x).vectorize(x, lanes).reorder(c, x, y).unroll(c).unroll(y)
+    for green in (at_red, at_blue):
+        green.compute_at(curved, x).vectorize(x, lanes)
+    return picture, raw
+
+
+def peers():
+    """Name -> function that does one frame."""
+    import cv2
+    import halide as hl
+
+    cv2.setNumThreads(2)
+    rows, cols = SIZE
+    mosaic = stage_module("processor.bilinear").bench(rows, cols)["raw"]
+    planes = np.empty((rows, cols, 3), np.uint16)
+    curve = np.rint(255 * (np.arange(1024) / 1023) ** (1 / 2.2)).astype(np.uint8)
+    picture, raw = camera_pipeline(rows, cols, MATRIX, curve)
+    wide = np.pad(mosaic, ((MARGIN_ROWS, MARGIN_ROWS), (MARGIN_COLS, MARGIN_COLS)), mode="reflect")
+    raw.set(hl.Buffer(wide))
+    shown = hl.Buffer(hl.UInt(8), [cols, rows, 3])
+
+    def halide(kept=(wide, curve)):  # Halide's buffers do not keep the memory that they show
+        picture.realize(shown)
+
+    return {"OpenCV": lambda: cv2.demosaicing(mosaic, cv2.COLOR_BayerRG2RGB, dst=planes), "Halide": halide}
+
+
+def ours(device):
+    """Name -> function that does one frame and waits."""
+    made = {}
+    for name in STAGES:
+        made[name] = _frame(device, name, stage_module(name).bench(*SIZE))
+    electrons = stage_module("processor.develop").bench(*SIZE)
+    electrons |= {"raw": (electrons["raw"] * np.float32(4)), "converter": (0.25, 0.0, 1023)}
+    made["processor.develop, from electrons"] = _frame(device, "processor.develop", electrons)
+    return made
+
+
+def _frame(device, name, inputs):
+    inputs = {key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+              for key, value in inputs.items()}
+
+    def run():
+        public_function(name)(**inputs, device=device)
+        device.sync()
+
+    return run
+
+
+def timed(runs, repetitions):
+    """Milliseconds of every run, interleaved: wall time and processor time of all threads, (runs, repetitions, 2)."""
+    for run in runs:
+        run()
+    taken = np.empty((len(runs), repetitions, 2))
+    for repetition in range(repetitions):
+        for number, run in enumerate(runs):
+            wall, work = time.perf_counter(), time.process_time()
+            run()
+            taken[number, repetition] = time.perf_counter() - wall, time.process_time() - work
+    return 1e3 * taken
+
+
+def spread(values):
+    """Median (20th .. 80th percentile)."""
+    low, middle, high = np.percentile(values, (20, 50, 80))
+    return f"{middle:.2f} ({low:.2f} .. {high:.2f})"
+
+
+def on_cpus(repetitions):
+    """Table of all CPU devices of OpenCL: wall time, processor time, ratio to the peer."""
+    import os
+
+    names = [entry["name"] for entry in devices() if entry["name"].startswith("opencl") and not entry["gpu"]]
+    os.environ.setdefault("HL_NUM_THREADS", str(os.cpu_count()))
+    runs = {("peer", name): run for name, run in peers().items()}
+    for name in names:
+        runs |= {(name, stage): run for stage, run in ours(open_device(name)).items()}
+    keys = list(runs)
+    taken = dict(zip(keys, timed(list(runs.values()), repetitions), strict=True))
+    print("| device | what | wall [ms] | processor [ms] | wall / peer | processor / peer |\n|---|---|---|---|---|---|")
+    for device, what in keys:
+        row = taken[device, what]
+        peer = {"processor.bilinear": "OpenCV"}.get(what, "Halide" if "develop" in what else None)
+        ratios = "| |" if peer is None or device == "peer" else (
+            "| ".join(spread(row[:, n] / taken["peer", peer][:, n]) + " " for n in range(2)) + "|")
+        print(f"| {device} | {what} | {spread(row[:, 0])} | {spread(row[:, 1])} | {ratios}")
+
+
+def on_gpus(launches, frames=4):
+    """Microseconds per launch on every GPU, launches back to back over several frames, more than its cache holds."""
+    print("| device | stage | per launch [us] |\n|---|---|---|")
+    for entry in devices():
+        if entry["gpu"] and not entry["error"]:
+            device = open_device(entry["name"])
+            for stage in STAGES:
+                calls = [call for _ in range(frames) for call in _launches(device, stage)]
+                each = (_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames)
+                print(f"| {device.name} | {stage} | {spread(each)} |")
+
+
+def _launches(device, stage):
+    """The launches that one call of a stage makes, with their arguments."""
+    run, calls = _frame(device, stage, stage_module(stage).bench(*SIZE)), []
+    launch = device.launch
+    device.launch = lambda *arguments, **options: (calls.append((arguments, options)), launch(*arguments, **options))
+    try:
+        run()
+    finally:
+        device.launch = launch
+    return calls
+
+
+def _opencl(device, calls, rounds, repetitions=7, busy_bytes=2**31):
+    """Microseconds per launch, by the device's clock; the queue is filled while a copy keeps the device busy."""
+    import pyopencl as cl
+
+    busy = [cl.Buffer(device.context, cl.mem_flags.READ_WRITE, busy_bytes) for _ in range(2)]
+    each = []
+    for _ in range(repetitions):
+        for _ in range(16):
+            cl.enqueue_copy(device.queue, *busy)
+        device.queue.flush()
+        first = cl.enqueue_marker(device.queue)
+        for _ in range(rounds):
+            for arguments, options in calls:
+                device.launch(*arguments, **options)
+        last = cl.enqueue_marker(device.queue)
+        device.sync()
+        each.append(1e-3 * (last.profile.end - first.profile.end) / (rounds * len(calls)))
+    return each
+
+
+def _warp(device, calls, rounds, repetitions=7):
+    """Microseconds per launch in a captured graph."""
+    import warp as wp
+
+    with wp.ScopedCapture(device=device.wp_device) as capture:
+        for _ in range(rounds):
+            for arguments, options in calls:
+                device.launch(*arguments, **options)
+    first, last = (wp.Event(device.wp_device, enable_timing=True) for _ in range(2))
+    each = []
+    for _ in range(repetitions):
+        with wp.ScopedDevice(device.wp_device):
+            wp.record_event(first)
+            wp.capture_launch(capture.graph)
+            wp.record_event(last)
+        wp.synchronize_event(last)
+        each.append(1e3 * wp.get_event_elapsed_time(first, last) / (rounds * len(calls)))
+    return each
+
+
+def main():
+    """Run on CPUs or GPUs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--gpu", action="store_true", help="time the GPUs, not the CPUs")
+    parser.add_argument("--repetitions", type=int, default=30)
+    arguments = parser.parse_args()
+    if arguments.gpu:
+        on_gpus(launches=200)
+    else:
+        on_cpus(arguments.repetitions)
+
+
+if __name__ == "__main__":
+    main()

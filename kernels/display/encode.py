@@ -1,0 +1,148 @@
+"""Display encoding: linear RGB to 8-bit codes, by any increasing curve.
+
+Ports: rgb (3, rows, cols) float32, linear; thresholds (255,) float32 -> codes (rows, cols, 3) uint8.
+
+The code of a value is the number of thresholds at or below it, threshold k being the least value with code k. So the
+devices need no power function and agree bit for bit.
+
+Curves of displays are steep near black and shallow near white, close to a power law, so bins that are as wide as their
+distance from black suit them: a bin is the floats that share their exponent and the first bits of their mantissa, as
+few bits as leave at most one threshold in a bin. Seven for sRGB and exponents of 1.8 to 2.6, in 1632 to 3004 bins. With
+s the number of bits below those, and `place` the value's bits counted from the first bin's, so that bin b begins at
+place b 2^s, the code in a bin whose threshold is at place t, with c thresholds before, is
+
+    c + (place >= t) = (c 2^s + 2^s - t + place) >> s     as 0 <= place - b 2^s, t - b 2^s <= 2^s,
+
+one entry c 2^s + 2^s - t of a table, modulo 2^32, one sum and one shift; t is the bin's end where it has none.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadData
+from gpusim.kernels.stage import Case, stage
+
+MANTISSA = 23  # bits
+MOST_BINS = 2**15  # 128 KiB; the table should stay in a core's own cache
+LEAST = 1e-30  # of a threshold: devices may take denormals for 0
+
+
+@stage
+def encode(device, rgb, thresholds):
+    """Codes of linear values; those outside the thresholds get 0 or 255, and NaN is black.
+
+    rgb: shape (3, rows, cols). thresholds: shape (255,), float32, increasing: the smallest value with code 1, 2, ...
+    255; see the function `thresholds`. A tone curve before the display's makes one curve with it.
+    Returns shape (rows, cols, 3), uint8. Raises BadData.
+    """
+    _, rows, cols = rgb.shape
+    pixels = rows * cols
+    table, defines = code_table(device, thresholds), codes_defines(device, pixels)
+    out = device.empty((rows, cols, 3), np.uint8)
+    step = 4 if device.kind == "opencl" else 1
+    run = step if device.is_gpu else 2048  # pixels of an item; a GPU wants many small ones
+    device.launch("display.encode", "encode", (-(-pixels // run),), device.array(rgb), table.entries, out,
+                  *table.numbers, run, pixels, defines=defines, group=None if device.is_gpu else (1,))
+    return out
+
+
+def thresholds(decode) -> np.ndarray:
+    """The smallest float32 with code 1, 2, ... 255, codes rounded to the nearest: decode at k - 1/2, rounded up.
+
+    decode: increasing function from codes as fractions of the largest, 0 .. 1, to linear values, float64, such as
+    `gpusim.domain.display.Display.decode`. Returns shape (255,). Raises BadData.
+    """
+    linear = np.asarray(decode((np.arange(1, 256) - 0.5) / 255), np.float64)
+    with np.errstate(over="ignore"):
+        nearest = linear.astype(np.float32)
+    return checked(np.where(nearest < linear, np.nextafter(nearest, np.float32(np.inf)), nearest))
+
+
+def checked(thresholds) -> np.ndarray:
+    """Thresholds as float32. Raises BadData."""
+    edges = np.asarray(thresholds, np.float32)
+    if edges.shape != (255,):
+        raise BadData(f"thresholds: shape {edges.shape}, wanted (255,): the smallest values of codes 1 .. 255")
+    if not (np.isfinite(edges).all() and edges[0] >= LEAST):
+        raise BadData(f"thresholds: {edges.min():g} .. {edges.max():g}, wanted finite values of {LEAST:g} and more")
+    if not (np.diff(edges) > 0).all():
+        code = int(np.argmin(np.diff(edges) > 0)) + 1
+        raise BadData(f"thresholds: {edges[code - 1]:g} of code {code} is followed by {edges[code]:g}; wanted a curve "
+                      "that increases, by more than the spacing of float32 from code to code")
+    return edges
+
+
+class CodeTable:
+    """Thresholds as the kernels want them; kernels/common/codes.clh.
+
+    entries: array of the device, uint32. numbers: value at which the first bin begins, last threshold, bits of a float
+    below those that name its bin.
+    """
+
+    def __init__(self, device, edges):
+        bits = edges.view(np.int32).astype(np.int64)
+        for shift in range(MANTISSA, -1, -1):
+            named = bits >> shift
+            if (np.diff(named) > 0).all():
+                break
+        first = (bits[0] - 1) >> shift  # what is clamped to the first bin's beginning lies below the first threshold
+        if named[-1] - first >= MOST_BINS:
+            code = int(np.argmin(np.diff(edges) / edges[1:])) + 1
+            raise BadData(f"thresholds: too steep a curve, {edges[code - 1]:.7g} of code {code} is followed by "
+                          f"{edges[code]:.7g} while the first is {edges[0]:.3g}; wanted a smoother curve")
+        bins = np.arange(first, named[-1] + 1)
+        below = np.searchsorted(named, bins)  # thresholds before the bin
+        ends = (bins + 1) << shift
+        places = np.minimum(np.append(bits, ends[-1])[below], ends) - (first << shift)
+        self.entries = device.array(((below + 1 << shift) - places) % 2**32, np.uint32)
+        bottom = np.array(first << shift, np.int32).view(np.float32)
+        self.numbers = float(bottom), float(edges[-1]), shift
+
+
+def code_table(device, thresholds) -> CodeTable:
+    """Table of these thresholds on a device, kept for the next call. Raises BadData."""
+    return _code_table(device, np.asarray(device.numpy(thresholds), np.float32).tobytes())
+
+
+@functools.lru_cache(maxsize=16)
+def _code_table(device, content):
+    return CodeTable(device, checked(np.frombuffer(content, np.float32)))
+
+
+def codes_defines(device, cols) -> dict:
+    """What codes.clh wants to know: whether rows of `cols` pixels begin at whole words, and how to read the table."""
+    if device.kind != "opencl":
+        return {}
+    packed = not device.is_gpu or cols % 4 != 0
+    return {"VOLATILE": "" if device.is_gpu else "volatile", "PACKED": "__attribute__((packed))" if packed else "",
+            "LOAD4(from)": "vload4(0, from)" if packed else "*(__global const float4 *)(from)"}
+
+
+def cases():
+    """A fine grid, every boundary of several curves, HDR, negative, NaN, infinities; odd sizes."""
+    why = "the code is a count of exact comparisons: bit for bit"
+    random = np.random.default_rng(6)
+    srgb = thresholds(DISPLAYS["srgb"].decode)
+    for rows, cols in ((1, 1), (2, 2), (3, 5), (63, 65)):
+        rgb = random.uniform(-0.2, 1.3, (3, rows, cols)).astype(np.float32)
+        yield Case(f"{rows}x{cols}", {"rgb": rgb, "thresholds": srgb}, 0.0, why, metric="exact")
+    grid = (np.arange(3 * 2**16) / (3 * 2**16 - 1)).astype(np.float32).reshape(3, 256, 256)
+    yield Case("grid", {"rgb": grid, "thresholds": srgb}, 0.0, why, metric="exact")
+    curves = {"sRGB": srgb} | {f"exponent {power}": thresholds(lambda v, power=power: v**power)
+                               for power in (1.0, 1.8, 2.2, 2.6, 4.0)}
+    curves["powers of two"] = np.concatenate([2.0 ** np.arange(-90, 0), np.arange(1, 166)]).astype(np.float32)
+    for name, edges in curves.items():
+        near = np.stack([np.nextafter(edges, np.float32(0)), edges, np.nextafter(edges, np.float32(np.inf))])
+        yield Case(f"one step around every boundary, {name}", {"rgb": near[:, None], "thresholds": edges}, 0.0, why,
+                   metric="exact")
+    odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30, -1e30, 1e-45, 1.0, np.nextafter(np.float32(1), 0)], np.float32)
+    yield Case("NaN, infinities, extremes", {"rgb": np.tile(odd, 5).reshape(3, 5, 3), "thresholds": srgb}, 0.0, why,
+               metric="exact")
+
+
+def bench(rows, cols):
+    """A full range of values, sRGB."""
+    return {"rgb": np.random.default_rng(6).random((3, rows, cols), np.float32),
+            "thresholds": thresholds(DISPLAYS["srgb"].decode)}

@@ -1,0 +1,159 @@
+"""Dead, hot and stuck pixels of a mosaic of any colours: found, and replaced from good neighbours of their colour.
+
+Ports: raw (rows, cols) uint16 [DN] -> (rows, cols) uint16 [DN], the same numbers but at defective pixels. Known ones
+are replaced first; what is found in the result is replaced after that. The same bits on every device.
+
+A pixel is found defective if all of this holds, with [low, high] the range of the nearest complete rings of its colour
+that hold eight neighbours or more, and excess the distance from the pixel's value to it, up or down:
+
+    excess^2 > t^2 (gain max(end - black_level, 0) + read^2)    end = high or low: it is no noise
+    excess > high - low                                         it is no texture
+    spread <= excess / 8 or                                     it is no point of light, which a lens spreads
+        spread^2 <= t^2 (gain .. + read^2)                      .. to adjacent pixels, by more than noise
+
+where spread is the sum of q - r, up or down as the pixel, over the four adjacent pixels q, whatever their colour, r
+being the nearest pixel of q's colour straight beyond q.
+
+A replaced pixel gets the rounded mean of the two opposite good neighbours that differ least (of those that differ
+equally, the pair with the smallest mean). They are looked for in groups: the rings named above, then ring by ring as
+far as REACH periods of the mosaic. Where there is no such pair it gets the mean of the nearest group's good neighbours,
+and where there is none its value stays. Nothing is known of what is outside the frame: it takes no part.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.processor.bayer import check_mosaic
+from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, _checked
+from gpusim.kernels.processor.levels import check_black, check_noise
+from gpusim.kernels.stage import Case, stage
+
+NEAR = 8  # neighbours at least that a pixel is compared with
+REACH, LEAST_REACH = 2, 4  # how far good neighbours are looked for: periods, and pixels at least
+LANES = 16  # neighbouring pixels that CPUs do at once
+BESIDE = ((-1, 0), (0, -1), (0, 1), (1, 0))
+
+
+@stage
+def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), detect=None):
+    """Replace defective pixels.
+
+    raw: shape (rows, cols) uint16 [DN]. known: where pixels are known to be defective, shape (rows, cols), not 0 or
+    True there; None: nothing is known. cfa: channel of each pixel of one period of the mosaic, at most 8 x 8, whole
+    numbers 0 .. C - 1 that all occur. black_level [DN]. noise: (gain [DN/e-], read [DN]) with which a digital number
+    varies by gain (DN - black_level) + read^2. detect: standard deviations of that noise by which a pixel must leave
+    its neighbours' range to be replaced, None: none are.
+    Of two defects that are neighbours of one colour neither may be found, since each is within the other's range.
+    Returns shape (rows, cols) uint16. Raises BadData, OutOfRange.
+    """
+    check_mosaic(raw, 1.0)
+    check_black(black_level)
+    gain, read = check_noise(noise)
+    cfa = _checked(np.asarray(device.numpy(cfa)))
+    rows, cols = raw.shape
+    if known is not None and tuple(known.shape) != (rows, cols):
+        raise BadData(f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}")
+    if detect is not None and not 0 < detect < 1e6:
+        raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
+    lines = device.kind == "opencl" and not device.is_gpu
+    near, count, starts, entries, masks, reach = _tables(device, cfa.astype(np.int32).tobytes(), cfa.shape)
+    grid, group = ((rows, 1), (1, 1)) if lines else ((rows, cols), None)
+    defines = {"LINES": int(lines), "COUNT": count, "PERIOD_X": cfa.shape[1]}
+    raw = device.array(raw, np.uint16)
+
+    def replaced(values, flags):
+        out = device.empty((rows, cols), np.uint16)
+        device.launch("processor.defects", "replace", grid, values, flags, starts, entries, out, *cfa.shape, rows, cols,
+                      group=group, defines=defines)
+        return out
+
+    if known is not None:
+        raw = replaced(raw, device.array(known if isinstance(known, device.array_type) else np.asarray(known) != 0,
+                                         np.uint8))
+    if detect is not None:
+        flags = device.empty((rows, cols), np.uint8)
+        device.launch("processor.defects", "mark", grid, raw, near, masks, flags, float(black_level),
+                      float(detect * detect * gain), float(detect * detect * read * read), reach, *cfa.shape, rows,
+                      cols, *(() if device.kind == "opencl" else (count,)), group=group, defines=defines)
+        raw = replaced(raw, flags)
+    return raw
+
+
+@functools.lru_cache(maxsize=64)
+def _tables(device, cfa, shape):
+    """Neighbours of each phase of the mosaic, on the device.
+
+    near: for each phase (dy, dx) of COUNT neighbours it is compared with, its four adjacent pixels and those beyond
+    them, shape (period_y period_x, COUNT + 8, 2). starts: first of the entries of each phase, and the end. entries: dy,
+    dx, whether the opposite has the same colour, group, shape (N, 4). masks: 65535 where column x has the
+    phase, shape (period_x, period_x + LANES). reach: of `near` [pixel].
+    """
+    cfa = np.frombuffer(cfa, np.int32).reshape(shape)
+    phases = [_neighbours(cfa, y, x) for y in range(shape[0]) for x in range(shape[1])]
+    count = max(len(near) for near, _, _ in phases)
+    near = np.array([[near[n % len(near)] for n in range(count)] + beside for near, beside, _ in phases], np.int32)
+    starts = np.cumsum([0] + [len(entries) for _, _, entries in phases], dtype=np.int32)
+    entries = np.array([entry for _, _, entries in phases for entry in entries], np.int32)
+    masks = np.where(np.arange(shape[1] + LANES) % shape[1] == np.arange(shape[1])[:, None], 65535, 0)
+    return (device.array(near, np.int32), count, device.array(starts, np.int32), device.array(entries, np.int32),
+            device.array(masks, np.uint16), int(abs(near).max()))
+
+
+def _neighbours(cfa, y, x):
+    """Of phase (y, x): what it is compared with, the adjacent pixels and those beyond, and all within reach."""
+    def channel(dy, dx):
+        return cfa[(y + dy) % len(cfa), (x + dx) % len(cfa[0])]
+
+    far = [max(LEAST_REACH, REACH * n) for n in cfa.shape]
+    same = sorted((dy * dy + dx * dx, dy, dx) for dy in range(-far[0], far[0] + 1) for dx in range(-far[1], far[1] + 1)
+                  if (dy or dx) and channel(dy, dx) == channel(0, 0))
+    radius = same[min(NEAR, len(same)) - 1][0]
+    near = [(dy, dx) for square, dy, dx in same if square <= radius]
+    rings = sorted({square for square, _, _ in same if square > radius})
+    entries = [(dy, dx, int(channel(-dy, -dx) == channel(0, 0)), 0 if square <= radius else 1 + rings.index(square))
+               for square, dy, dx in same]
+    beyond = [next((n * dy, n * dx) for n in range(2, 10) if channel(n * dy, n * dx) == channel(dy, dx))
+              for dy, dx in BESIDE]
+    return near, [*BESIDE, *beyond], entries
+
+
+def cases():
+    """Known, found and both; all phases, X-Trans, quad-Bayer, monochrome and random mosaics; clusters; tiny frames."""
+    random = np.random.default_rng(9)
+    why = "integers, and three float32 roundings in the same order"
+    mosaics = {"RGGB": BAYER, "GRBG": ((1, 0), (2, 1)), "GBRG": ((1, 2), (0, 1)), "BGGR": ((2, 1), (1, 0)),
+               "quad-Bayer": QUAD, "X-Trans": X_TRANS, "grey": ((0,),), "stripes": ((0, 1, 2),),
+               "four of 8x8": random.permutation(np.arange(64) % 4).reshape(8, 8)}
+    for name, cfa in mosaics.items():
+        cfa = np.array(cfa, np.int32)
+        for rows, cols in ((1, 1), (1, 7), (2, 2), (5, 3), (31, 90)):
+            raw = random.poisson(700, (rows, cols)).astype(np.uint16)
+            bad = random.random((rows, cols))
+            raw[bad < 0.02] = 65535
+            raw[bad > 0.98] = 0
+            known = (random.random((rows, cols)) < 0.1).astype(np.uint8)
+            whole = rows == 31
+            for label, options in (("both", {"known": known, "detect": 6.0}), *([
+                    ("known", {"known": known}), ("found", {"detect": 4.0})] if whole else [])):
+                yield Case(f"{name} {rows}x{cols} {label}",
+                           {"raw": raw, "cfa": cfa, "black_level": 64.25, "noise": (1.0, 3.0), **options}, 0.0, why,
+                           metric="exact")
+    raw = random.integers(0, 65536, (24, 40), np.uint16)
+    cluster = np.zeros(raw.shape, np.uint8)
+    cluster[5:14, 8:19] = 1
+    yield Case("cluster of 9x11", {"raw": raw, "known": cluster, "cfa": np.array(BAYER, np.int32), "black_level": 0.0},
+               0.0, why, metric="exact")
+    yield Case("all defective", {"raw": raw, "known": np.ones_like(cluster), "cfa": np.array(BAYER, np.int32),
+                                 "black_level": 0.0}, 0.0, "nothing is replaced", metric="exact")
+    yield Case("nothing asked", {"raw": raw, "cfa": np.array(BAYER, np.int32), "black_level": 0.0}, 0.0,
+               "nothing is replaced", metric="exact")
+
+
+def bench(rows, cols):
+    """A 10-bit Bayer mosaic with one known defect in a thousand, more being looked for."""
+    random = np.random.default_rng(9)
+    return {"raw": random.poisson(400, (rows, cols)).astype(np.uint16),
+            "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8), "cfa": np.array(BAYER, np.int32),
+            "black_level": 64.0, "noise": (1.0, 3.0), "detect": 6.0}
