@@ -66,16 +66,32 @@ class Readout:
         sensor, chip = self.sensor, self.sensor.noise
         rows, cols = prod(mean.shape[:-1]), mean.shape[-1]
         mean = self.device.reshape(mean, (rows, cols))
-        response = dark = None
-        if chip.prnu or chip.row_prnu or chip.column_prnu or chip.dead_pixels:
-            response = self._pattern("response", rows, cols, mean=1.0, pixel=chip.prnu, row=chip.row_prnu,
-                                     column=chip.column_prnu, dead=chip.dead_pixels)
-        if chip.hot_pixels and chip.hot_current:
-            dark = self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
+        response, dark = self._response(rows, cols), self._dark(rows, cols)
         if response is not None or dark is not None or scale != 1:
             mean = expect(mean, response, dark, scale=scale, dark_time=min(exposure_time * chip.warmth, MOST),
                           device=self.device)
         return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
+
+    def defects(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> np.ndarray | None:
+        """Where this chip's pixels are dead or hot: 1 there, else 0, NumPy uint8 like the raw values; None: nowhere.
+
+        What a calibration of the chip would find, for `processor.defects`. shape: of the mean electrons, see
+        `expected`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
+        common dark current; at time 0, all that collect any. A binned pixel is defective if one of its pixels is.
+        """
+        rows, cols = prod(shape[:-1]), shape[-1]
+        chip, found = self.sensor.noise, np.zeros((rows, cols), np.uint8)
+        response, dark = self._response(rows, cols), self._dark(rows, cols)
+        if chip.dead_pixels:
+            found |= self.device.numpy(response) == 0
+        if dark is not None:
+            dark_time = min(exposure_time * chip.warmth, MOST)
+            found |= self.device.numpy(dark) > (least / dark_time if dark_time else 0.0)
+        if not found.any():
+            return None
+        if self.sensor.binning != (1, 1):
+            found = np.array(self.device.numpy(self._binned(self.device.array(found))) > 0, np.uint8)
+        return found
 
     def mean(self, mean):
         """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
@@ -205,6 +221,21 @@ class Readout:
 
     def _binned(self, charge):
         return bin_pixels(charge, binning=self.sensor.binning, stride=self.stride, device=self.device)
+
+    def _response(self, rows, cols):
+        """Relative response of every pixel, None where all are alike."""
+        chip = self.sensor.noise
+        if not (chip.prnu or chip.row_prnu or chip.column_prnu or chip.dead_pixels):
+            return None
+        return self._pattern("response", rows, cols, mean=1.0, pixel=chip.prnu, row=chip.row_prnu,
+                             column=chip.column_prnu, dead=chip.dead_pixels)
+
+    def _dark(self, rows, cols):
+        """Dark current of hot pixels beyond the common one [e- s-1], None where there are none."""
+        chip = self.sensor.noise
+        if not (chip.hot_pixels and chip.hot_current):
+            return None
+        return self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
 
     def _pattern(self, plane, rows, cols, **parts):
         """A fixed pattern, kept from its first use."""

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device, open_device
+from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time, exposure_value
 from gpusim.domain.scene import Basis, Cube, Materials, Scene
-from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.frames import write_frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
-from gpusim.kernels.display.srgb import srgb
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
@@ -29,11 +28,6 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.warp import warp
-from gpusim.kernels.processor.adaptive import adaptive
-from gpusim.kernels.processor.bilinear import bilinear
-from gpusim.kernels.processor.color import color
-from gpusim.kernels.processor.interpolate import interpolate
-from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.sensor.expect import expect
 from gpusim.kernels.sensor.expose import expose
 from gpusim.kernels.sensor.shutter import shutter
@@ -44,15 +38,15 @@ from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.psf import psf_tables
 from gpusim.planner.rendering import Rendering, rendering
+from gpusim.planner.shading import relative_response, shading_gains
 from gpusim.planner.shutter import shutter_weights
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES, at_pixels, probe_pixels
 
 FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
+HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
 MOST_GAIN = 1e4  # analog gain beside the sensor's
-SHOWN_WHITE = 65535  # digital number of white in the picture of raw values without a converter
-DEMOSAICS = {"bilinear": bilinear, "adaptive": adaptive}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +57,9 @@ class Exposure:
     mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
         cols) [e-].
     expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
-    exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours.
+    exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
+        for the light that is known or assumed.
+    blur: of the lens as a Gaussian [pixel], gains: of the shading correction at its nodes, where the camera uses them.
     ms: milliseconds per stage that it took.
     """
 
@@ -74,6 +70,8 @@ class Exposure:
     exposure_time: float
     gain: float
     rendering: Rendering
+    blur: float = 0.0
+    gains: np.ndarray | None = None
     ms: dict = dataclasses.field(default_factory=dict)
 
 
@@ -81,10 +79,12 @@ class Exposure:
 class Frame:
     """One simulated picture.
 
-    camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated.
+    camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated, the
+        white that of the picture where the camera estimates it.
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
-    linear: linear display RGB before clipping, float32 (3, rows, cols). rgb: sRGB codes, uint8 (rows, cols, 3).
+    linear: linear display RGB before clipping and tone curve, float32 (3, rows, cols). rgb: display codes, uint8 (rows,
+        cols, 3).
     """
 
     camera: Camera
@@ -160,11 +160,11 @@ class Simulator:
         for number in range(first, first + count):
             with self.device.timed() as ms:
                 raw = self.draw(exposure, seed=seed, frame=number)
-                shown, rgb = self.develop(raw, exposure)
+                shown, rgb, rendering = self._developed(raw, exposure)
             raw, shown, rgb = (np.array(self.device.numpy(array)) for array in (raw, shown, rgb))
-            report = self._report(exposure, ms, seed, number, error, kept=number > first)
-            yield Frame(exposure.camera, exposure.exposure_time, exposure.rendering, mean, self._layered(exposure, raw),
-                        shown, rgb, report)
+            report = self._report(exposure, rendering, ms, seed, number, error, kept=number > first)
+            yield Frame(exposure.camera, exposure.exposure_time, rendering, mean, self._layered(exposure, raw), shown,
+                        rgb, report)
 
     def bracket(self, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
         """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
@@ -331,30 +331,35 @@ class Simulator:
         return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 
     def develop(self, raw, exposure: Exposure):
-        """Linear display RGB (3, rows, cols) and sRGB codes (rows, cols, 3) of digital numbers.
+        """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3) of raw values.
 
         Those of a sensor without a converter are shown from 16 bits of them.
         """
-        sensor, processor = exposure.camera.sensor, exposure.camera.processor
-        transform, black, white = exposure.rendering, sensor.dark_level, sensor.white_level
-        if sensor.bits == FLOAT_BITS:
-            values = (self.device.numpy(raw) - black) * (SHOWN_WHITE / (white - black))
-            raw = self.device.array(np.rint(np.clip(values, 0, SHOWN_WHITE)), np.uint16)
-            black, white = 0, SHOWN_WHITE
-        numbers = {"black_level": black, "scale": 1 / (white - black), "device": self.device}
-        if sensor.is_monochrome or sensor.stacked:
-            camera_rgb = linear(raw, **numbers)
-        elif sensor.bayer_phase:
-            camera_rgb = DEMOSAICS[processor.demosaic](raw, phase="".join(sensor.cfa), **numbers)
-        else:
-            camera_rgb = interpolate(raw, cfa=sensor.cfa_indices, **numbers)
-        if sensor.stacked:
-            layers = len(sensor.channels)
-            rows, cols = camera_rgb.shape[-2:]
-            camera_rgb = self.device.reshape(camera_rgb, (layers, rows // layers, cols))
-        shown = color(camera_rgb, self.device.array(transform.display_from_camera), ceiling=transform.ceiling,
-                      device=self.device)
-        return shown, srgb(shown, device=self.device)
+        return self._developed(raw, exposure)[:2]
+
+    def codes(self, raw, exposure: Exposure):
+        """The display codes of `develop` alone, for previews and videos: in one pass where the camera allows it."""
+        codes = self._developer(exposure).in_one_pass(raw, exposure.rendering)
+        return self.develop(raw, exposure)[1] if codes is None else codes
+
+    def _developed(self, raw, exposure):
+        """Linear display RGB, display codes and the rendering that they are by."""
+        developer = self._developer(exposure)
+        planes = developer.demosaicked(raw, known=self._defects(exposure), gains=exposure.gains, blur=exposure.blur)
+        rendered = developer.balanced(planes, exposure.rendering)
+        return *developer.shown(planes, rendered), rendered
+
+    def _developer(self, exposure):
+        return self._keep("developer", exposure.camera.sensor.analog_gain,
+                          lambda: Developer(exposure.camera, self.device))
+
+    def _defects(self, exposure):
+        """Map of the chip's dead pixels and of those whose own current shows in this exposure; None where not asked."""
+        if exposure.camera.processor.defects != "known":
+            return None
+        shape, time = exposure.mean.shape, exposure.exposure_time
+        return self._keep("defects", (shape, time), lambda: self.readout.defects(
+            shape, time, HOT * self.camera.sensor.read_sigma))
 
     def _metered(self, exposure_time, gain, per_second):
         """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
@@ -373,8 +378,15 @@ class Simulator:
         with self.device.timed() as more:
             expected = self.readout.expected(mean, exposure_time)
         ms = {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}}
+        processor = camera.processor
+        gains = None
+        if processor.shading:
+            falls = (made.gain, None if made.warp is None else made.warp.nodes)
+            key = (made.scene.shape, made.slope, *(None if map_ is None else map_.tobytes() for map_ in falls))
+            gains = self._keep("shading", key, lambda: shading_gains(relative_response(made), len(made.weights)))
         return Exposure(made, camera, mean, expected, exposure_time, gain,
-                        rendering(made, camera, exposure_time, self.readout.pixels), ms)
+                        rendering(made, camera, exposure_time, self.readout.pixels),
+                        self._blur(made) if processor.demosaic == "best" else 0.0, gains, ms)
 
     def _rates(self, made: Plan):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
@@ -556,6 +568,24 @@ class Simulator:
     def _all_bands(self, made, distance=None):
         return self._bands(made.q, *self._grid(made.scene.samples_per_pixel), *made.period, self.device, distance)
 
+    def _blur(self, made: Plan) -> float:
+        """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
+        if made.gains is None:
+            return 0.0
+        sensor, q = self.camera.sensor, made.q / made.scene.samples_per_pixel
+        aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+
+        def deviation():
+            # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
+            tables = np.asarray(self._bands(4 * q, sensor.pixel_pitch / 4, tuple(4 * side for side in aperture), 32, 32,
+                                            open_device("numpy"), whole=False, displacement=(0.0, 0.0)))
+            light = made.weights.sum(axis=0)
+            passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
+                      for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]
+            return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
+
+        return self._keep("blur", (q.tobytes(), made.weights.tobytes()), deviation)
+
     def _combined(self, made, bands):
         """Transfer tables of the plan's planes from those of its wavelengths."""
         device = self.device
@@ -576,23 +606,17 @@ class Simulator:
                   for channel in range(planes.shape[0])]
         return self.device.array(np.stack([self.device.numpy(layer) for layer in layers]))
 
-    def _report(self, exposure, ms, seed, number, error, kept):
+    def _report(self, exposure, rendering, ms, seed, number, error, kept):
         made, camera = exposure.plan, exposure.camera
-        sensor, processor = camera.sensor, camera.processor
         times = dict(ms) if kept else {**exposure.ms, **ms}
-        if sensor.is_monochrome or sensor.stacked:
-            demosaic, method = "processor.linear", "monochrome" if sensor.is_monochrome else "stacked: all channels"
-        elif sensor.bayer_phase:
-            demosaic, method = f"processor.{processor.demosaic}", f"{processor.demosaic} demosaicking"
-        else:
-            demosaic, method = "processor.interpolate", "weighted means of each channel's neighbours"
-        models = made.models | self.readout.models() | {
-            demosaic: method, "processor.color": exposure.rendering.model, "display.srgb": "sRGB, 8 bit"}
+        developing = self._developer(exposure).models()
+        shown = f"{camera.display.name}, 8 bit" + (", with a tone curve" if camera.processor.tone else "")
+        models = made.models | self.readout.models() | developing | {
+            "processor.color": rendering.model, "display.encode": shown}
         order = ("spectral.integrate", "spectral.materials", "optics.warp", "optics.airy", "optics.pupil",
                  "optics.blur", "optics.nearfar", "optics.composite", "optics.field", "optics.mosaic", "optics.splat",
                  "optics.sample", "optics.gain", "sensor.expose", "sensor.shutter", "sensor.pattern", "sensor.expect",
-                 "sensor.bin", "sensor.noise", demosaic, "processor.color",
-                 "display.srgb")
+                 "sensor.bin", "sensor.noise", *developing, "processor.color", "display.encode")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = type(scene.content).__name__.lower()
@@ -606,7 +630,7 @@ class Simulator:
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
-             "analog_gain": sensor.analog_gain,
+             "analog_gain": camera.sensor.analog_gain,
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": self.device.name, "kind": self.device.kind}, number, seed, stages, made.predicted, made.left_out,
             error, self.tolerance, notes)
