@@ -1,5 +1,5 @@
 // A work-item does `run` columns, by WIDTH, of ROWS rows, as in bilinear.cl. The operations are those of the separate
-// stages in their order, so the codes are the same. From the host: WIDTH (1 or 8), ROWS, ELECTRONS, those of codes.clh.
+// stages in their order, so the codes are the same. From the host: WIDTH (1, 4 or 8), ROWS, ELECTRONS, those of codes.clh.
 #include "bilinear.clh"
 #include "codes.clh"
 
@@ -42,6 +42,9 @@ __kernel void develop(
                     blue += matrix[6 + c] * clipped;
                 }
                 __global uchar *to = out + 3 * ((size_t)y * cols + x);
+#if WIDTH == 4
+                store_codes(codes(table, red), codes(table, green), codes(table, blue), to);
+#else
 #if WIDTH == 8
                 if (x + WIDTH <= end) {
                     store_codes(codes(table, red.lo), codes(table, green.lo), codes(table, blue.lo), to);
@@ -53,6 +56,7 @@ __kernel void develop(
                         to[3 * lane + 1] = code(table, ((float *)&green)[lane]);
                         to[3 * lane + 2] = code(table, ((float *)&blue)[lane]);
                     }
+#endif
             }
             up = here;
             here = down;
