@@ -1,0 +1,157 @@
+"""As align.cl on a GPU: one block, or one tile, per thread."""
+
+# mypy: ignore-errors
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+from gpusim.kernels.processor.align import PAD as HOST_PAD
+from gpusim.kernels.processor.align import TILE as HOST_TILE
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+PAD = wp.constant(HOST_PAD)
+TILE = wp.constant(HOST_TILE)
+
+
+@wp.kernel
+def blocks(
+    # in:
+    raw: wp.array3d[wp.uint16],
+    # out:
+    out: wp.array3d[int],
+    # sizes:
+    frames: int, rows: int, cols: int, h: int, w: int, period_y: int, period_x: int,
+):
+    i, y, x = wp.tid()
+    by = wp.clamp(y - PAD, 0, h - 1) * period_y
+    bx = wp.clamp(x - PAD, 0, w - 1) * period_x
+    sum = int(0)
+    for j in range(period_y):
+        for k in range(period_x):
+            sum += int(raw[i, by + j, bx + k])
+    out[i, y, x] = sum
+
+
+@wp.kernel
+def halve(
+    # in:
+    fine: wp.array3d[int],
+    # out:
+    out: wp.array3d[int],
+    # sizes:
+    frames: int, fine_h: int, fine_w: int, h: int, w: int,
+):
+    i, y, x = wp.tid()
+    by = 2 * wp.clamp(y - PAD, 0, h - 1) + PAD
+    bx = 2 * wp.clamp(x - PAD, 0, w - 1) + PAD
+    out[i, y, x] = (fine[i, by, bx] + fine[i, by, bx + 1] + fine[i, by + 1, bx] + fine[i, by + 1, bx + 1] + 2) >> 2
+
+
+@wp.func
+def difference_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int):
+    """Sum of absolute differences of the tile at (y0, x0) of the plane with its PAD."""
+    sum = int(0)
+    for j in range(TILE):
+        for k in range(TILE):
+            sum += wp.abs(plane[reference, y0 + j, x0 + k] - plane[i, y0 + dy + j, x0 + dx + k])
+    return sum
+
+
+@wp.func
+def square_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int, dy: int, dx: int):
+    """Sum of squared differences; every row by itself, so that few roundings meet."""
+    sum = float(0.0)
+    for j in range(TILE):
+        line = float(0.0)
+        for k in range(TILE):
+            d = float(plane[reference, y0 + j, x0 + k] - plane[i, y0 + dy + j, x0 + dx + k])
+            line += d * d
+        sum += line
+    return sum
+
+
+@wp.kernel
+def search(
+    # in:
+    plane: wp.array3d[int],
+    parents: wp.array[int],
+    # out:
+    out: wp.array4d[int],
+    # params:
+    reference: int, radius: int,
+    # sizes:
+    parent_y: int, parent_x: int, h: int, w: int, tiles_y: int, tiles_x: int, frames: int,
+):
+    i, ty, tx = wp.tid()
+    y = int(0)
+    x = int(0)
+    if i != reference:
+        y0 = ty * TILE + PAD
+        x0 = tx * TILE + PAD
+        if parent_y > 0:
+            at = 2 * ((i * parent_y + wp.min(ty / 2, parent_y - 1)) * parent_x + wp.min(tx / 2, parent_x - 1))
+            y = wp.clamp(2 * parents[at], -(2 + ty) * TILE, h + TILE - ty * TILE)
+            x = wp.clamp(2 * parents[at + 1], -(2 + tx) * TILE, w + TILE - tx * TILE)
+        at_start = difference_sum(plane, reference, i, y0, x0, y, x)
+        least = at_start - at_start / 6
+        best_y = y
+        best_x = x
+        for dy in range(-radius, radius + 1):
+            for dx in range(-radius, radius + 1):
+                sum = difference_sum(plane, reference, i, y0, x0, y + dy, x + dx)
+                if sum < least:
+                    least = sum
+                    best_y = y + dy
+                    best_x = x + dx
+        y = best_y
+        x = best_x
+    out[i, ty, tx, 0] = y
+    out[i, ty, tx, 1] = x
+
+
+@wp.kernel
+def fraction(
+    # in:
+    plane: wp.array3d[int],
+    whole: wp.array4d[int],
+    # out:
+    out: wp.array4d[float],
+    # params:
+    reference: int,
+    # sizes:
+    h: int, w: int, tiles_y: int, tiles_x: int, frames: int,
+):
+    i, ty, tx = wp.tid()
+    y = float(0.0)
+    x = float(0.0)
+    if i != reference:
+        y0 = ty * TILE + PAD
+        x0 = tx * TILE + PAD
+        at_y = whole[i, ty, tx, 0]
+        at_x = whole[i, ty, tx, 1]
+        f = wp.mat33()
+        for dy in range(3):
+            for dx in range(3):
+                f[dy, dx] = square_sum(plane, reference, i, y0 + wp.max(1 - dy, 0), x0 + wp.max(1 - dx, 0),
+                                       at_y + dy - 1, at_x + dx - 1)
+        slope_y = (f[2, 0] + f[2, 1] + f[2, 2] - (f[0, 0] + f[0, 1] + f[0, 2])) / 6.0
+        slope_x = (f[0, 2] + f[1, 2] + f[2, 2] - (f[0, 0] + f[1, 0] + f[2, 0])) / 6.0
+        bend_y = (f[2, 0] + f[2, 1] + f[2, 2] + (f[0, 0] + f[0, 1] + f[0, 2])
+                  - 2.0 * (f[1, 0] + f[1, 1] + f[1, 2])) / 3.0
+        bend_x = (f[0, 2] + f[1, 2] + f[2, 2] + (f[0, 0] + f[1, 0] + f[2, 0])
+                  - 2.0 * (f[0, 1] + f[1, 1] + f[2, 1])) / 3.0
+        twist = (f[2, 2] - f[2, 0] - (f[0, 2] - f[0, 0])) / 4.0
+        sure_y = bend_y > 0.25 * f[1, 1]
+        sure_x = bend_x > 0.25 * f[1, 1]
+        determinant = bend_y * bend_x - twist * twist
+        if sure_y and sure_x and determinant > 0.25 * (bend_y * bend_x):
+            y = (twist * slope_x - bend_x * slope_y) / determinant
+            x = (twist * slope_y - bend_y * slope_x) / determinant
+        else:
+            if sure_y:
+                y = -slope_y / bend_y
+            if sure_x:
+                x = -slope_x / bend_x
+        y = float(at_y) + wp.clamp(y, -0.5, 0.5)
+        x = float(at_x) + wp.clamp(x, -0.5, 0.5)
+    out[i, ty, tx, 0] = y
+    out[i, ty, tx, 1] = x

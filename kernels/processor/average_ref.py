@@ -1,0 +1,68 @@
+"""Frames moved by cubic interpolation within a colour, and averaged where they fit: float64."""
+
+import numpy as np
+
+from gpusim.kernels.processor.align import TILE
+from gpusim.kernels.processor.average import HIGH, LOW, OUTSIDE
+
+
+def average(raw, displacement, *, reference=0, period=(2, 2), black_level, noise):
+    """See the contract."""
+    raw, displacement = np.asarray(raw, np.float64), np.asarray(displacement, np.float64)
+    count, rows, cols = raw.shape
+    total, weight = raw[reference].copy(), np.ones((rows, cols))
+    for i in range(count):
+        if i != reference:
+            moved, left, inside = move(raw[i], displacement[i], period)
+            light = np.maximum((moved + raw[reference]) / 2 - black_level, 0)
+            q = (moved - raw[reference]) ** 2 / ((1 + left) * (noise[0] * light + noise[1] ** 2))
+            share = trust(np.where(inside, q, OUTSIDE), period)
+            total += share * moved
+            weight += share
+    return total / weight
+
+
+def move(frame, displacement, period):
+    """The frame moved, the part of the noise's variance that is left, and whether all samples were inside."""
+    rows, cols = frame.shape
+    y, x = np.mgrid[:rows, :cols]
+    tile = [np.minimum(place // step // TILE, last - 1)
+            for place, step, last in zip((y, x), period, displacement.shape, strict=False)]
+    d = displacement[tile[0], tile[1]]
+    whole = np.floor(d)
+    weights_y, weights_x = keys(d[..., 0] - whole[..., 0]), keys(d[..., 1] - whole[..., 1])
+    moved, left, inside = np.zeros(frame.shape), np.zeros(frame.shape), np.ones(frame.shape, bool)
+    for a in range(4):
+        for b in range(4):
+            share = weights_y[a] * weights_x[b]
+            v = y + (whole[..., 0].astype(int) + a - 1) * period[0]
+            u = x + (whole[..., 1].astype(int) + b - 1) * period[1]
+            there = (v >= 0) & (v < rows) & (u >= 0) & (u < cols)
+            inside &= there | (share == 0)
+            moved += np.where(there, share * frame[v.clip(0, rows - 1), u.clip(0, cols - 1)], 0)
+            left += share**2
+    return moved, left, inside
+
+
+def keys(s):
+    """Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1."""
+    def inner(t):
+        return 1 - 2.5 * t**2 + 1.5 * t**3
+
+    def outer(t):
+        return 2 - 4 * t + 2.5 * t**2 - 0.5 * t**3
+
+    # t in 1 .. 2 of the outer piece; exactly 0 at whole displacements
+    return [np.where(s == 0, 0, outer(1 + s)), inner(s), inner(1 - s), np.where(s == 0, 0, outer(2 - s))]
+
+
+def trust(q, period):
+    """Weight of each pixel from the mean of q over 3 x 3 blocks, edge blocks going on outside."""
+    (rows, cols), (py, px) = q.shape, period
+    h, w = -(-rows // py), -(-cols // px)
+    padded = np.full((h * py, w * px), np.nan)
+    padded[:rows, :cols] = q
+    blocks = np.pad(np.nanmean(padded.reshape(h, py, w, px), axis=(1, 3)), 1, mode="edge")
+    mean = sum(blocks[a : a + h, b : b + w] for a in range(3) for b in range(3)) / 9
+    share = np.clip((HIGH - mean) / (HIGH - LOW), 0, 1)
+    return share.repeat(py, axis=0).repeat(px, axis=1)[:rows, :cols]

@@ -1,0 +1,115 @@
+"""A picture in dim light, with what a picture of the same view by flash knows about its noise and detail.
+
+Ports: ambient, flash (3, rows, cols) float32 linear RGB -> rgb (3, rows, cols) float32, in the ambient picture's unit.
+
+With V_c(p) the variance of a value, known from the noise model, and over the window of q around p
+
+    d_F^2(p, q) = 1/3 sum_c (F_c(p) - F_c(q))^2 / (2 V^F_c(p)),   1 on average where both show the same,
+    w_F = g(p - q) max(1 - d_F^2 / reach, 0)^2,                   g a Gaussian, half the radius its sigma,
+
+and w_A the same of the ambient picture A:
+
+    A_F, F_F: means of A and F weighted by w_F;   A_A: mean of A weighted by w_A,
+    detail  = 1 + s (F - F_F) / max(F_F, 2 sqrt(V^F)),   s = max(v - 1/2, 0) / v,  v = mean w_F d_F^2 - d_F^2(p, F_F),
+    rgb     = (1 - mask) A_F detail + mask A_A.
+
+v is the variance of F in the window over 2 V: s is the part of it that is not noise, so that the detail is the flash
+picture's texture and not its noise. The mask is 1 where the flash picture knows no more than the ambient one, in the
+shadows of the flash, and where it is full, in its highlights: with the squares of both signals over their noise,
+
+    mask = max(1 - step(sum F_F^2 / V^F(F_F) / (BETTER sum A_F^2 / V^A(A_F)) - 1), step(HIGHLIGHT part of window full)),
+
+step(t) = t^2 (3 - 2 t) of t cut to 0 .. 1. Pictures go on at their edges as they end there.
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.stage import Case, stage
+
+BETTER = 2.0  # signal over noise, squared, that the flash picture must be better by; with twice this it counts in full
+HIGHLIGHT = 8.0  # inverse of the part of the window whose fullness makes a highlight
+MOST_RADIUS = 12
+
+
+@stage
+def flash(device, ambient, flash, *, ambient_noise, flash_noise, full=np.inf, radius=8, reach=6.0):
+    """The ambient picture, its noise averaged among pixels that are alike in the flash picture.
+
+    ambient, flash: shape (3, rows, cols), linear, finite. ambient_noise, flash_noise: shape (3, 4): the variance of
+    value c is the sum over k of noise[c, k] max(value k, 0) + noise[c, 3], and at least noise[c, 3] > 0. full: value of
+    the flash picture from which on it is full. radius: of the window [pixel], 1 to 12. reach: squared difference, over
+    that of noise alone, from which on pixels are not alike.
+    Returns shape (3, rows, cols). Raises BadData, OutOfRange.
+    Source: Petschnigg et al. 2004, "Digital photography with flash and no-flash image pairs", and Eisemann & Durand
+    2004, "Flash photography enhancement via intrinsic relighting", both ACM Transactions on Graphics 23 (3).
+    """
+    ambient_noise, flash_noise = checked(ambient, flash, ambient_noise, flash_noise, radius, reach)
+    rows, cols = ambient.shape[1:]
+    out = device.empty((3, rows, cols))
+    cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item, 8 pixels at once
+    tables = [device.array(table) for table in (ambient_noise, flash_noise, spatial(radius))]
+    device.launch("processor.flash", "flash", (rows, 1 if cpu else cols), device.array(ambient), device.array(flash),
+                  *tables, out, float(min(full, 3e38)), float(1 / reach), rows, cols,
+                  *(() if device.kind == "opencl" else (int(radius),)),
+                  defines={"RADIUS": int(radius), "WIDTH": 8 if cpu else 1, "CPU": int(cpu), "BETTER": f"{BETTER}f",
+                           "HIGHLIGHT": f"{HIGHLIGHT}f"}, group=(1, 1) if cpu else None)
+    return out
+
+
+def spatial(radius):
+    """Weights of the window by distance, shape (2 radius + 1, 2 radius + 1)."""
+    line = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (radius / 2)) ** 2)
+    return np.outer(line, line)
+
+
+def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
+    """Both tables of noise as float64. Raises BadData, OutOfRange."""
+    if len(ambient.shape) != 3 or ambient.shape[0] != 3 or 0 in ambient.shape or ambient.shape != flash.shape:
+        raise BadData(f"ambient {tuple(ambient.shape)} and flash {tuple(flash.shape)}: wanted (3, rows, cols), both "
+                      "alike")
+    tables = []
+    for name, table in (("ambient_noise", ambient_noise), ("flash_noise", flash_noise)):
+        table = np.asarray(table, np.float64)
+        if table.shape != (3, 4) or not np.isfinite(table).all():
+            raise BadData(f"{name}: shape {table.shape}, wanted (3, 4) of finite numbers")
+        if not (table[:, 3] > 0).all():
+            raise OutOfRange(f"{name}[:, 3]", table[:, 3].tolist(), "> 0")
+        tables.append(table)
+    if not (1 <= radius <= MOST_RADIUS and radius == int(radius)):
+        raise OutOfRange("radius", radius, f"a whole number of pixels, 1 .. {MOST_RADIUS}")
+    if not 0 < reach < np.inf:
+        raise OutOfRange("reach", reach, "0 < reach < inf")
+    return tables
+
+
+def _pair(rows, cols):
+    """A noisy picture of patches, and one by flash with a shadow and a highlight."""
+    random = np.random.default_rng(12)
+    patches = random.uniform(0.05, 0.9, (3, -(-rows // 7), -(-cols // 9))).repeat(7, 1).repeat(9, 2)[:, :rows, :cols]
+    own = 0.1 * patches * np.linspace(0.5, 1, cols)
+    lit = 0.2 * own + patches * (np.arange(cols) % 40 > 9)
+    lit[:, : rows // 4, : cols // 4] = 1.2
+    noise = np.hstack([np.full((3, 3), 0.002) + 0.004 * np.eye(3), np.full((3, 1), 2e-4)])
+    ambient = own + random.normal(0, 1, own.shape) * np.sqrt(noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4)
+    by_flash = lit + random.normal(0, 0.02, lit.shape)
+    return {"ambient": ambient.astype(np.float32), "flash": by_flash.astype(np.float32),
+            "ambient_noise": noise.tolist(), "flash_noise": (noise / 10).tolist(),
+            "full": 1.15}
+
+
+def cases():
+    """Window larger than the picture, odd sizes, shadows, highlights, flat fields."""
+    why = ("n = (2 r + 1)^2 taps: sums err by n 2^-24 at most, a squared difference of values below 1.3 over 2 V > "
+           "4e-5 by 2^-24 1.3 sqrt(2 reach / 4e-5) < 5e-5 of reach; F - F_F and v lose as much again: 1e-3")
+    for rows, cols, radius in ((1, 1, 2), (5, 3, 5), (33, 70, 3), (24, 49, 5)):
+        yield Case(f"{rows}x{cols}, radius {radius}", {**_pair(rows, cols), "radius": radius}, 1e-3, why)
+    yield Case("dark", {**_pair(9, 9), "ambient": np.zeros((3, 9, 9), np.float32)}, 0.0, "sums of zeros",
+               metric="exact")
+    same = _pair(20, 31)
+    yield Case("no better", {**same, "flash": same["ambient"], "flash_noise": same["ambient_noise"]}, 1e-3, why)
+
+
+def bench(rows, cols):
+    """The default window."""
+    return _pair(rows, cols)
