@@ -1,6 +1,6 @@
-// defects.py has the rules. A GPU's work-item does a pixel, a CPU's a row, LANES neighbours at once: their range is found
-// as if all had the first column phase of the mosaic, then the second .., and a mask tells whose it is. Only where one
-// is farther outside its range than this is wide is more looked at. Columns are 64-bit: see bayer.clh.
+// defects.py has the rules. A GPU's work-item does a pixel, a CPU's a row, LANES neighbours at once: their range is
+// found as if all had the first column phase of the mosaic, then the second .., and a mask tells whose it is. Only
+// where one is farther outside its range than this is wide is more looked at. Columns are 64-bit: see bayer.clh.
 // The threshold is not contracted: the same bits everywhere.
 #pragma OPENCL FP_CONTRACT OFF
 

@@ -55,6 +55,8 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
     rows, cols = raw.shape
     if known is not None and tuple(known.shape) != (rows, cols):
         raise BadData(f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}")
+    if isinstance(known, device.array_type) and known.dtype not in (np.uint8, device.empty((1,), np.uint8).dtype):
+        raise BadData(f"known defects: {known.dtype}, wanted uint8")
     if detect is not None and not 0 < detect < 1e6:
         raise OutOfRange("detect", detect, "0 < detect < 1e6 standard deviations, or None")
     lines = device.kind == "opencl" and not device.is_gpu

@@ -74,9 +74,9 @@ def replaced(raw, bad, cfa):
         phase = y % cfa.shape[0], x % cfa.shape[1]
         if phase not in groups:
             groups[phase] = groups_of(cfa, *phase)
-        nearest: dict = {}
+        nearest = {}
         for group in groups[phase]:
-            good = {(v - y, u - x): int(raw[v, u]) for v, u in group + (y, x)
+            good = {(v - y, u - x): int(raw[v, u]) for v, u in np.add(group, (y, x))
                     if 0 <= v < raw.shape[0] and 0 <= u < raw.shape[1] and not bad[v, u]}
             nearest = nearest or good
             pairs = [(abs(a - good[-dy, -dx]), (a + good[-dy, -dx] + 1) // 2) for (dy, dx), a in good.items()

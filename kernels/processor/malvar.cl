@@ -44,42 +44,43 @@ __attribute__((always_inline)) inline void pair(
 }
 
 #ifdef GPU
-// Columns x and x + 1, x even, by one load and one store each: for even widths, where all rows are aligned alike.
-inline void two(
+#define COLUMN(i) (is_end ? mirror(x + (i), cols) : x + (i))
+
+// Columns x .. x + 3, x a multiple of 4, by wide loads and stores: for widths that are a multiple of 4, where all rows
+// are aligned alike. first: a literal at each call, so that no pixel asks what colour it is.
+__attribute__((always_inline)) inline void four(
     __global const ushort *restrict uu, __global const ushort *restrict u, __global const ushort *restrict h,
     __global const ushort *restrict w, __global const ushort *restrict ww, const int x, const int first, const int cols,
     const float black_level, const float scale,
     __global float *restrict own, __global float *restrict green, __global float *restrict other)
 {
-#define TWO(row, at) convert_int2(*(__global const ushort2 *)((row) + (at)))
-    // what is mirrored at x = -2 and -1 lies at 2 and 1, and likewise at the other end
-    const bool starts = x == 0, ends = x + 2 == cols;
-    const int2 here = TWO(h, x), around = TWO(uu, x) + TWO(ww, x), above = TWO(u, x), below = TWO(w, x);
-    int2 before = starts ? (int2)(h[mirror(-2, cols)], here.y) : TWO(h, x - 2);
-    int2 after = ends ? (int2)(here.x, h[mirror(x + 3, cols)]) : TWO(h, x + 2);
-    const int above_b = starts ? above.y : u[x - 1], above_e = ends ? above.x : u[x + 2];
-    const int below_b = starts ? below.y : w[x - 1], below_e = ends ? below.x : w[x + 2];
-    const int near_x = above_b + below_b, near_y = above_e + below_e;  // diagonal beyond the first and the second column
-    const int2 sides = above + below;
-    // with first = 1 the own colour is in the second column: the row is read from its other end
-    const int c = first ? here.y : here.x, d = first ? here.x : here.y;
-    const int b = first ? after.x : before.y, e = first ? before.y : after.x;
-    const int far = (first ? before.y + after.y : before.x + after.x);
-    const int along = first ? before.x + after.x : before.y + after.y;
-    const int vertical_c = first ? sides.y : sides.x, vertical_d = first ? sides.x : sides.y;
-    const int beyond_c = first ? near_y : near_x, beyond_d = first ? near_x : near_y;
-    const int around_c = first ? around.y : around.x, across = first ? around.x : around.y;
-    const float own_c = value(16 * c, black_level, scale), green_d = value(16 * d, black_level, scale);
-    const float green_c = value(green_at_own(c, b + d + vertical_c, far + around_c), black_level, scale);
-    const float other_c = value(other_at_own(c, beyond_c + vertical_d, far + around_c), black_level, scale);
-    const int corners = vertical_c + beyond_d;
-    const float own_d = value(colour_at_green(d, c + e, along, across, corners), black_level, scale);
-    const float other_d = value(colour_at_green(d, vertical_d, across, along, corners), black_level, scale);
-#define STORE_TWO(plane, at_c, at_d) \
-    *(__global float2 *)((plane) + x) = first ? (float2)(at_d, at_c) : (float2)(at_c, at_d)
-    STORE_TWO(own, own_c, own_d);
-    STORE_TWO(green, green_c, green_d);
-    STORE_TWO(other, other_c, other_d);
+    const bool is_end = x == 0 || x + 4 == cols;
+    const ushort4 u4 = *(__global const ushort4 *)(u + x), h4 = *(__global const ushort4 *)(h + x);
+    const ushort4 w4 = *(__global const ushort4 *)(w + x);
+    const ushort4 uu4 = *(__global const ushort4 *)(uu + x), ww4 = *(__global const ushort4 *)(ww + x);
+    const int here[] = {h[COLUMN(-2)], h[COLUMN(-1)], h4.x, h4.y, h4.z, h4.w, h[COLUMN(4)], h[COLUMN(5)]};
+    const int near[] = {u[COLUMN(-1)] + w[COLUMN(-1)], u4.x + w4.x, u4.y + w4.y, u4.z + w4.z, u4.w + w4.w,
+                        u[COLUMN(4)] + w[COLUMN(4)]};
+    const int beyond[] = {uu4.x + ww4.x, uu4.y + ww4.y, uu4.z + ww4.z, uu4.w + ww4.w};
+    float values[3][4];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+        const int centre = here[i + 2], beside = here[i + 1] + here[i + 3], along = here[i] + here[i + 4];
+        const int corners = near[i] + near[i + 2];
+        if (i % 2 == first) {
+            values[0][i] = value(16 * centre, black_level, scale);
+            values[1][i] = value(green_at_own(centre, beside + near[i + 1], along + beyond[i]), black_level, scale);
+            values[2][i] = value(other_at_own(centre, corners, along + beyond[i]), black_level, scale);
+        } else {
+            values[0][i] = value(colour_at_green(centre, beside, along, beyond[i], corners), black_level, scale);
+            values[1][i] = value(16 * centre, black_level, scale);
+            values[2][i] = value(colour_at_green(centre, near[i + 1], beyond[i], along, corners), black_level, scale);
+        }
+    }
+#define STORE(plane, v) *(__global float4 *)((plane) + x) = (float4)(v[0], v[1], v[2], v[3])
+    STORE(own, values[0]);
+    STORE(green, values[1]);
+    STORE(other, values[2]);
 }
 #endif
 
@@ -108,9 +109,12 @@ __kernel void malvar(
     __global float *other = red ? green + pixels : green - pixels;
 
 #ifdef GPU
-    if (cols % 2 == 0) {
-        if (2 * q < cols)
-            two(uu, u, h, w, ww, 2 * q, first, cols, black_level, scale, own, green, other);
+    if (cols % 4 == 0) {
+        if (4 * q >= cols) return;
+        if (first)
+            four(uu, u, h, w, ww, 4 * q, 1, cols, black_level, scale, own, green, other);
+        else
+            four(uu, u, h, w, ww, 4 * q, 0, cols, black_level, scale, own, green, other);
         return;
     }
 #endif

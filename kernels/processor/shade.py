@@ -1,7 +1,7 @@
 """Lens shading of a mosaic of any colours undone: every pixel times a smooth gain.
 
-Ports: raw (rows, cols) uint16 [DN], gains (C, ny, nx) float32 [1] -> (rows, cols) uint16 with black at 4096 and white at
-65535 (see levels.py):
+Ports: raw (rows, cols) uint16 [DN], gains (C, ny, nx) float32 [1] -> (rows, cols) uint16 with black at 4096 and white
+at 65535 (see levels.py):
 
     round(4096 + 61439 gain (DN - black_level) scale), clipped to 0 .. 65535
 
@@ -55,9 +55,9 @@ def shade(device, raw, gains, *, cfa, black_level, scale):
 def cases():
     """Mosaics, sizes down to one pixel, steep gains, gains of 0, below black, clipped."""
     random = np.random.default_rng(10)
-    why = ("gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the product "
-           "below 61439 x 8 x 6 2^-24 < 0.2 DN where nothing is clipped, so the rounding to whole numbers, at most one "
-           "step elsewhere")
+    why = ("gain: 6 roundings (two fractions, two means of two) of at most 2^-24 times the largest, 8; with the "
+           "product below 61439 x 8 x 6 2^-24 < 0.2 steps where nothing is clipped: the rounding to whole numbers may "
+           "differ by one")
     for name, cfa in (("Bayer", BAYER), ("X-Trans", X_TRANS), ("grey", ((0,),))):
         cfa = np.array(cfa, np.int32)
         for rows, cols, ny, nx in ((1, 1, 2, 2), (3, 5, 4, 3), (63, 130, 5, 9), (40, 33, 17, 65)):
