@@ -10,17 +10,11 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
-try:  # TEMPORARY
-    from gpusim.kernels.processor.best import best
-except ImportError:
-    best = None
+from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.color import color
 from gpusim.kernels.processor.defects import defects
-try:  # TEMPORARY
-    from gpusim.kernels.processor.denoise import denoise
-except ImportError:
-    denoise = None
+from gpusim.kernels.processor.denoise import denoise
 from gpusim.kernels.processor.develop import develop
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.learned import learned

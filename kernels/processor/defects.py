@@ -26,7 +26,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, _checked
+from gpusim.kernels.processor.interpolate import BAYER, QUAD, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import check_black, check_noise
 from gpusim.kernels.stage import Case, stage
 
@@ -51,7 +51,7 @@ def defects(device, raw, known=None, *, cfa, black_level, noise=(0.0, 0.0), dete
     check_mosaic(raw, 1.0)
     check_black(black_level)
     gain, read = check_noise(noise)
-    cfa = _checked(np.asarray(device.numpy(cfa)))
+    cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     rows, cols = raw.shape
     if known is not None and tuple(known.shape) != (rows, cols):
         raise BadData(f"known defects: shape {tuple(known.shape)}, wanted that of raw, {(rows, cols)}")

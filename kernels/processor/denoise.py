@@ -26,7 +26,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, _checked
+from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black, check_noise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.stage import Case, stage
@@ -56,7 +56,7 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
     gain, read = check_noise(noise)
     if not 0 <= strength <= 100:
         raise OutOfRange("strength", strength, "0 <= strength <= 100")
-    cfa = _checked(np.asarray(device.numpy(cfa)))
+    cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     rows, cols = raw.shape
     if rows < cfa.shape[0] or cols < cfa.shape[1]:
         raise BadData(f"raw: {rows}x{cols} pixels; wanted at least one period of the mosaic, "

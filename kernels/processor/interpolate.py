@@ -42,7 +42,7 @@ def interpolate(device, raw, *, cfa, black_level, scale):
     model; as regression: Cleveland 1979, Journal of the American Statistical Association 74, 829-836.
     """
     check_mosaic(raw, scale)
-    cfa = _checked(np.asarray(device.numpy(cfa)))
+    cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     rows, cols = raw.shape
     key = cfa.astype(np.int32).tobytes(), cfa.shape
     tents = _tents(*key)
@@ -64,11 +64,11 @@ def interpolate(device, raw, *, cfa, black_level, scale):
 
 def least_frame(cfa) -> tuple[int, int]:
     """Rows and columns of the smallest frame of this mosaic that can be interpolated. Raises BadData."""
-    cfa = _checked(np.asarray(cfa))
+    cfa = checked_mosaic(np.asarray(cfa))
     return _least(_tents(cfa.astype(np.int32).tobytes(), cfa.shape))
 
 
-def _checked(cfa):
+def checked_mosaic(cfa):
     """Return one period of the mosaic, the shortest there is. Raises BadData."""
     if cfa.ndim != 2 or not cfa.size or max(cfa.shape) > LONGEST_PERIOD or cfa.dtype.kind not in "iu":
         raise BadData(f"cfa: shape {cfa.shape} of {cfa.dtype}, wanted (rows, cols) of whole numbers, 1 to "

@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.bayer import check_mosaic
-from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, _checked
+from gpusim.kernels.processor.interpolate import BAYER, X_TRANS, checked_mosaic
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, check_black
 from gpusim.kernels.stage import Case, stage
 
@@ -31,7 +31,7 @@ def shade(device, raw, gains, *, cfa, black_level, scale):
     """
     check_mosaic(raw, scale)
     check_black(black_level)
-    cfa = _checked(np.asarray(device.numpy(cfa)))
+    cfa = checked_mosaic(np.asarray(device.numpy(cfa)))
     channels = int(cfa.max()) + 1
     shape = tuple(gains.shape)
     if len(shape) != 3 or shape[0] != channels or not 2 <= min(shape[1:]) <= max(shape[1:]) <= MOST_NODES:
