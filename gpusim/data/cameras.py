@@ -10,6 +10,7 @@ import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
+from gpusim.data.learned import read_table
 from gpusim.data.lights import illuminant
 from gpusim.data.mosaics import mosaic
 from gpusim.data.psf import read_psf
@@ -319,6 +320,8 @@ def _camera(path, table):
 
 def _processor(path, fields):
     """Processor of its fields, with its filter table read; names are looked up while the file is known."""
+    if "table" in fields:
+        fields["table"] = read_table(path.parent / fields["table"])
     processor = Processor(**fields)
     reflectances(processor.training)
     illuminant(processor.target)

@@ -1,11 +1,11 @@
 """The image processor: from the mosaic of digital numbers to display codes."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.learned import FilterTable
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
@@ -41,7 +41,7 @@ class Processor:
     shading: bool = False
     denoise: float = 0.0
     demosaic: str = "bilinear"
-    table: Any = None
+    table: FilterTable | None = None
     white_balance: str = "illuminant"
     color: str = "white-preserving"
     training: str = "objects"

@@ -1,0 +1,298 @@
+"""Learned linear filters: a table that turns the mosaic of one kind of sensor into wanted planes.
+
+Words used here and where tables are made and used. Code: what the filters work on, the signal above black or (domain
+"root") its square root. Position: place of a pixel in the period of its mosaic. Contrast: how much codes change along
+rows and columns. Class: contrast along rows against that along columns, and their sum. Level: local mean of the codes.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+
+DOMAINS = ("root", "linear")
+LONGEST_PERIOD = 8  # rows and columns of a mosaic
+GRAIN = 4096  # of roots: sums of a few are exact in float32, in whatever order
+LARGEST_WEIGHT = 8  # sum of a contrast's absolute weights: contrasts of codes below 512 are exact in float32 then
+LARGEST_SUM = 256  # of the contrast's weights times the box's pixels: sums of 18-bit codes stay below 2^26
+
+
+@dataclass(frozen=True)
+class Code:
+    """How digital numbers of one frame become codes, and back.
+
+    domain: "linear": code = DN - black_level; "root": sgn(y) sqrt|y| - sqrt(o), y = DN - black_level + o, where
+        o = 3/8 gain + read^2 / gain makes the noise equally strong everywhere, sqrt(gain) / 2 (Anscombe 1948,
+        Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995, Astron. Astrophys. Suppl. 112, 179).
+    black_level [DN]. scale: 1 / (white - black_level) [1/DN].
+    noise: (gain [DN/e-], read [DN]): variance gain (DN - black_level) + read^2 [DN^2]; (0, 0) is no noise.
+    Raises OutOfRange, UnknownName.
+    """
+
+    domain: str
+    black_level: float
+    scale: float
+    noise: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self):
+        if self.domain not in DOMAINS:
+            raise UnknownName("domain", self.domain, DOMAINS)
+        if not 0 < self.scale < np.inf:
+            raise OutOfRange("scale", self.scale, "scale > 0")
+        gain, read = self.noise
+        if not (0 <= gain < np.inf and 0 <= read < np.inf and (gain > 0 or read == 0)):
+            raise OutOfRange("noise", self.noise, "gain >= 0 and read >= 0, and gain > 0 where read > 0")
+        if not abs(self.black_level) <= 65535:
+            raise OutOfRange("black_level", self.black_level, "-65535 .. 65535 DN")
+        if not self.offset <= 65535:
+            raise OutOfRange("noise", self.noise, "3/8 gain + read^2 / gain <= 65535 DN")
+
+    @property
+    def offset(self) -> float:
+        """o, what is added before the root is taken [DN]."""
+        gain, read = self.noise
+        return 0.375 * gain + read**2 / gain if self.domain == "root" and gain else 0.0
+
+    @property
+    def white(self) -> float:
+        """Code of white."""
+        return float(self.encode(1 / self.scale))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the code relative to white; "linear": where the signal is a quarter of white."""
+        gain, read = self.noise
+        deviation = np.sqrt(gain) / 2 if self.domain == "root" else np.hypot(np.sqrt(gain / self.scale / 4), read)
+        return float(deviation / self.white)
+
+    def encode(self, signal):
+        """Code of a signal above black [DN]."""
+        signal = np.asarray(signal, np.float64)
+        if self.domain == "linear":
+            return signal
+        return np.copysign(np.sqrt(np.abs(signal + self.offset)), signal + self.offset) - np.sqrt(self.offset)
+
+    def measured(self, raw):
+        """Codes of digital numbers as all devices compute them: roots by float32, to a multiple of 1 / GRAIN."""
+        if self.domain == "linear":
+            return np.asarray(raw, np.float64) - self.black_level
+        y = np.asarray(raw, np.float32) + np.float32(self.offset - self.black_level)
+        code = np.copysign(np.sqrt(np.abs(y)), y) - np.float32(np.sqrt(self.offset))
+        return np.floor(np.float64(code) * GRAIN + 0.5) / GRAIN
+
+    def decode(self, code):
+        """Signal above black [DN] of a code."""
+        if self.domain == "linear":
+            return code
+        root = code + np.sqrt(self.offset)
+        return root * np.abs(root) - self.offset
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Everything that decides which pixels a filter sees and which filter a pixel takes; lengths in pixels.
+
+    mosaic: one period of the colour filter array, a text per row, a letter per channel, at most 8 x 8.
+    outputs: names of the planes that come out, such as ("R", "G", "B") or ("X", "Y", "Z").
+    domain: "root" or "linear", what the table was made for.
+    taps: rows and columns from the pixel to each sample that a filter sees, shape (T, 2).
+    groups: which weight each tap takes, shape (T,), all of 0 .. G - 1: taps of one group are summed first.
+    contrast: whole weights of 2 r + 1 pixels along columns (dy = -r .. r) and the same along rows, each of them zero
+        in sum over the pixels of one colour, so that flat fields have no contrast.
+    detail: the same of a second kind, with the same sum of absolute weights; the ratio of contrast to detail tells, if
+        contrast is that of colour differences and detail that of samples, whether the colours change together.
+    box: contrast, detail and level are means over (2 box + 1)^2 pixels.
+    ratios: eighths; a pixel is in direction d > 0 if its contrast along rows exceeds d of ratios / 8 times that along
+        columns, -d the other way round, shape (D,), above 8, increasing.
+    shares: eighths, bounds of contrast / detail, each the smaller of that along rows and columns, shape (E,),
+        increasing.
+    noise: standard deviations of the code, relative to white, that the table has filters for, shape (N,), increasing.
+    floor: mean contrast that is added to both sides of such comparisons, relative to white, shape (N,).
+    strengths: bounds of the mean of both contrasts, relative to white, shape (N, S), increasing.
+    levels: codes, relative to white, that the table has filters for, shape (L,), increasing.
+    There are K = (2 D + 1)(S + 1)(E + 1) classes: number ((direction + D)(S + 1) + strength)(E + 1) + share.
+    Raises BadData, OutOfRange, UnknownName.
+    """
+
+    mosaic: tuple[str, ...]
+    outputs: tuple[str, ...]
+    domain: str
+    taps: np.ndarray
+    groups: np.ndarray
+    contrast: tuple[np.ndarray, np.ndarray]
+    box: int
+    ratios: np.ndarray
+    noise: np.ndarray
+    floor: np.ndarray
+    strengths: np.ndarray
+    levels: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    detail: tuple[np.ndarray, np.ndarray] | None = None
+    shares: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+
+    def __post_init__(self):
+        if self.domain not in DOMAINS:
+            raise UnknownName("domain", self.domain, DOMAINS)
+        kept = (("taps", np.int32, 2), ("groups", np.int32, 1), ("ratios", np.int32, 1), ("shares", np.int32, 1),
+                ("noise", np.float64, 1),
+                ("floor", np.float64, 1), ("strengths", np.float64, 2), ("levels", np.float64, 1))
+        for name, dtype, ndim in kept:
+            values = np.array(getattr(self, name), dtype, ndmin=ndim)
+            if values.ndim != ndim or not np.isfinite(values).all():
+                raise BadData(f"{name}: shape {values.shape}, wanted {ndim} axes of finite numbers")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        for name in ("contrast", "detail"):
+            axes = getattr(self, name)
+            if axes is not None:
+                object.__setattr__(self, name, tuple(np.array(axis, np.int32) for axis in axes))
+        object.__setattr__(self, "mosaic", tuple(self.mosaic))
+        object.__setattr__(self, "outputs", tuple(self.outputs))
+        self._check()
+
+    def _check(self):
+        rows, cols = self.period
+        if not 0 < rows <= LONGEST_PERIOD or not 0 < cols <= LONGEST_PERIOD or {*map(len, self.mosaic)} != {cols}:
+            raise BadData(f"mosaic {self.mosaic}: wanted 1 to {LONGEST_PERIOD} texts of 1 to {LONGEST_PERIOD} letters")
+        if self.taps.shape[1:] != (2,) or len(self.groups) != len(self.taps) or not len(self.taps):
+            raise BadData(f"taps and groups: shapes {self.taps.shape} and {self.groups.shape}, wanted (T, 2) and (T,)")
+        if not np.array_equal(np.unique(self.groups), np.arange(self.groups.max() + 1)):
+            raise BadData("groups: wanted every number from 0 to the largest")
+        if not 0 < len(self.outputs) <= 8 or len(set(self.outputs)) != len(self.outputs):
+            raise BadData(f"outputs {self.outputs}: wanted 1 to 8 different names")
+        if self.detail is None and len(self.shares):
+            raise BadData("shares: contrast is compared with detail, and there is none")
+        for name, axes in (("contrast", self.contrast), ("detail", self.detail or ())):
+            for axis, period in zip(axes, self.period, strict=bool(axes)):
+                if axis.ndim != 1 or not len(axis) % 2 or any(axis[k::period].sum() for k in range(period)):
+                    raise BadData(f"{name}: {axis}; wanted an odd number of weights, of sum 0 over every {period}th "
+                                  "pixel")
+                if not (np.array_equal(axis, axis[::-1]) or np.array_equal(axis, -axis[::-1])):
+                    raise BadData(f"{name}: {axis}; wanted weights that mirrored are the same, or opposite")
+                if abs(axis).sum() != self.weight:
+                    raise BadData(f"{name}: {axis}; wanted absolute weights of sum {self.weight} as the others")
+        if self.weight > LARGEST_WEIGHT:
+            raise BadData(f"contrast: absolute weights of sum {self.weight}; at most {LARGEST_WEIGHT} is wanted")
+        if self.box < 0 or (2 * self.box + 1) ** 2 * self.weight > LARGEST_SUM:
+            raise BadData(f"contrast: weights of {self.weight} times a box of {2 * self.box + 1}x{2 * self.box + 1} "
+                          f"pixels; at most {LARGEST_SUM} is wanted")
+        if self.floor.shape != self.noise.shape or len(self.strengths) != len(self.noise):
+            raise BadData(f"floor {self.floor.shape}, strengths {self.strengths.shape}: wanted one for each of "
+                          f"{len(self.noise)} noise levels")
+        for name in ("ratios", "shares", "noise", "strengths", "levels"):
+            if (np.diff(getattr(self, name)) <= 0).any():
+                raise BadData(f"{name}: {getattr(self, name)}, wanted increasing numbers")
+        if len(self.ratios) and not 8 < self.ratios[0] <= self.ratios[-1] <= 32:
+            raise OutOfRange("ratios", self.ratios, "8 < ratio <= 32 [eighths]")
+        if len(self.shares) and not 0 < self.shares[0] <= self.shares[-1] <= 32:
+            raise OutOfRange("shares", self.shares, "0 < share <= 32 [eighths]")
+
+    @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of the mosaic's period."""
+        return len(self.mosaic), len(self.mosaic[0]) if self.mosaic else 0
+
+    @property
+    def positions(self) -> int:
+        """P, pixels of a period, numbered row by row."""
+        return self.period[0] * self.period[1]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Letters of the mosaic in the order of their first pixels."""
+        return tuple(dict.fromkeys("".join(self.mosaic)))
+
+    @property
+    def alike(self) -> bool:
+        """Whether rows and columns are treated alike."""
+        return (self.period[0] == self.period[1] and np.array_equal(*self.contrast)
+                and (self.detail is None or np.array_equal(*self.detail)))
+
+    @property
+    def weight(self) -> int:
+        """Sum of the absolute weights of a contrast; half of it for a contrast of 1."""
+        return int(abs(self.contrast[0]).sum())
+
+    @property
+    def classes(self) -> int:
+        """K, directions times strengths times shares."""
+        return (2 * len(self.ratios) + 1) * self.kinds
+
+    @property
+    def kinds(self) -> int:
+        """Classes of one direction."""
+        return (self.strengths.shape[1] + 1) * (len(self.shares) + 1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the filters: (N, L, P, K, outputs, G)."""
+        return (len(self.noise), len(self.levels), self.positions, self.classes, len(self.outputs),
+                int(self.groups.max()) + 1)
+
+    def shift(self, mosaic) -> tuple[int, int]:
+        """Row and column of the table's period at which a sensor's mosaic begins; a Bayer one may be named "RGGB".
+
+        Raises UnknownName if the table is for another mosaic.
+        """
+        texts = (mosaic[:2], mosaic[2:]) if isinstance(mosaic, str) and len(mosaic) == 4 else tuple(mosaic)
+        rows, cols = self.period
+        own = np.array([list(text) for text in self.mosaic])
+        given = np.array([list(text) for text in texts]) if {*map(len, texts)} == {len(texts[0])} else own[:0]
+        if given.size and not len(given) % rows and not given.shape[1] % cols:
+            wide = np.tile(own, (len(given) // rows, given.shape[1] // cols))
+            for row in range(rows):
+                for col in range(cols):
+                    if np.array_equal(np.roll(wide, (-row, -col), (0, 1)), given):
+                        return row, col
+        raise UnknownName("mosaic", "/".join(texts), ["/".join(self.mosaic)])
+
+
+@dataclass(frozen=True)
+class FilterTable:
+    """Linear filters of every noise level, level, position, class and output.
+
+    filters: weights of the groups' sums, shape `layout.shape` (N, L, P, K, outputs, G), kept as float32.
+    offsets: what is added, relative to white, shape (N, L, P, K, outputs), or None for nothing.
+    provenance: what the table was made from and how.
+    Raises BadData.
+    """
+
+    layout: Layout
+    filters: np.ndarray
+    offsets: np.ndarray | None = None
+    provenance: str = ""
+
+    def __post_init__(self):
+        shape = self.layout.shape
+        for name, wanted in (("filters", shape), ("offsets", shape[:-1])):
+            values = getattr(self, name)
+            if values is None and name == "offsets":
+                continue
+            values = np.array(values, np.float32)
+            if values.shape != wanted or not np.isfinite(values).all():
+                raise BadData(f"{name}: shape {values.shape}, wanted {wanted} of finite numbers")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    def at_noise(self, sigma):
+        """Filters, offsets (or None), floor and strengths of codes with this noise relative to white.
+
+        Linear between the nearest two of `layout.noise`; beyond the ends, those of the ends. Float64; filters
+        (L, P, K, outputs, G), offsets (L, P, K, outputs), floor a number, strengths (S,).
+        """
+        noise = self.layout.noise
+        at = float(np.interp(sigma, noise, np.arange(len(noise))))
+        lower, t = int(at), at % 1
+
+        def between(values):
+            low = np.asarray(values[lower], np.float64)
+            return low if t == 0 else (1 - t) * low + t * values[lower + 1]
+
+        return (between(self.filters), None if self.offsets is None else between(self.offsets),
+                float(between(self.layout.floor)), between(self.layout.strengths))
+
+    def __hash__(self):
+        return id(self)
+
+    def __eq__(self, other):
+        return self is other

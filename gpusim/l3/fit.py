@@ -1,0 +1,212 @@
+"""Least squares for learned filters: normal equations gathered frame by frame, solved with a ridge.
+
+For every noise level, level, position and class the wanted codes t (outputs, n) are predicted from the sums s (G, n) of
+the groups of taps: W = argmin |W s - t|^2 + lambda |W - W_0|^2, where W_0 are the filters of all classes of that
+position together (Lansel & Wandell 2011; the ridge towards W_0 is Hoerl & Kennard 1970 about a prior). Between levels
+filters are interpolated linearly, so a sample counts for the two nearest, by the weights it is interpolated with.
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.kernels.processor.learned_ref import classify, grouped, hats, positions
+
+
+class NormalEquations:
+    """Sums of s s', s t' and t t' in float64; `add` frames, then `solve`."""
+
+    def __init__(self, layout: Layout, constant: bool = False):
+        """constant: whether filters may add a number (`FilterTable.offsets`)."""
+        self.layout, self.constant = layout, constant
+        self.sums: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # of each noise level that has frames
+        self._sizes = layout.shape[-1] + constant, layout.shape[-2]
+
+    def add(self, raw, wanted, code: Code, number: int = 0, phase=None, border: int = 0, weight: float = 1.0):
+        """Count one frame.
+
+        raw: mosaic, shape (rows, cols) [DN], whole numbers or not. wanted: planes, 1 = white, shape (outputs, rows,
+        cols). code: the frame's black level, scale, noise and domain. number: which noise level of the layout it is for
+        (its own sigma should be near `layout.noise[number]`). phase: how the frame's mosaic begins, as in
+        `learned`; None: as the table's. border: pixels at each side that do not count. Raises BadData, UnknownName.
+        """
+        layout = self.layout
+        raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
+        if wanted.shape != (len(layout.outputs), *raw.shape):
+            raise BadData(f"wanted: shape {wanted.shape}; raw and layout make it {(len(layout.outputs), *raw.shape)}")
+        shift = (0, 0) if phase is None else layout.shift(phase)
+        codes = code.measured(raw)
+        classes, levels = classify(codes, code, layout, layout.floor[number], layout.strengths[number])
+        inside = np.s_[border : raw.shape[0] - border, border : raw.shape[1] - border]
+        s = grouped(codes, layout)[:, *inside].reshape(layout.shape[-1], -1) / code.white
+        if self.constant:
+            s = np.vstack([s, np.ones((1, s.shape[1]))])
+        t = code.encode(wanted[:, *inside] / code.scale).reshape(len(wanted), -1) / code.white
+        if not (np.isfinite(s).all() and np.isfinite(t).all()):
+            raise BadData("training frame: NaN or infinite values")
+        bins = (positions(layout, raw.shape, shift) * layout.classes + classes)[inside].ravel()
+        order = np.argsort(bins, kind="stable")
+        edges = np.searchsorted(bins[order], np.arange(layout.positions * layout.classes + 1))
+        a, b, c = self._sums(number)
+        for at, hat in hats(levels[inside].ravel(), layout.levels):
+            for k in np.flatnonzero(np.diff(edges)):
+                some = order[edges[k] : edges[k + 1]]
+                left, right = s[:, some], t[:, some]
+                share = np.full(len(some), weight) * (hat if np.isscalar(hat) else hat[some])
+                scaled = left * share
+                at_bin = (at, k // layout.classes, k % layout.classes)
+                a[at_bin] += scaled @ left.T
+                b[at_bin] += scaled @ right.T
+                c[at_bin] += right**2 @ share
+
+    def _sums(self, number):
+        terms, outputs = self._sizes
+        if number not in self.sums:
+            a, b, c = (np.zeros((*self.layout.shape[1:4], *rest))
+                       for rest in ((terms, terms), (terms, outputs), (outputs,)))
+            self.sums[number] = a, b, c
+        return self.sums[number]
+
+    def merge(self, other: "NormalEquations"):
+        """Count the frames of others of the same layout too."""
+        for number, theirs in other.sums.items():
+            for mine, sums in zip(self._sums(number), theirs, strict=True):
+                mine += sums
+
+    def solve(self, ridge: float = 1e-5, preserve: bool = False, exchanges=(), provenance: str = "") -> FilterTable:
+        """The table that fits the frames counted so far.
+
+        ridge: lambda in units of the mean variance of a term in a class (of an average class of that position).
+        preserve: whether every filter shall keep flat fields of any colour; outputs are named as the channels then.
+        exchanges: pairs of letters, channels that play the same part: data and filters are then shared between them,
+            ("R", "B") say. Mirror images and transposes of the mosaic that are the mosaic again always share.
+        An output that is the pixel's own channel, and equals the sample in all the frames, stays the sample.
+        Raises BadData for a noise level or position whose frames do not determine its filters.
+        """
+        layout = self.layout
+        if preserve and not set(layout.outputs) <= set(layout.channels):
+            raise BadData(f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}")
+        maps = symmetries(layout, exchanges)
+        constraints = flat_sums(layout, self.constant)
+        if preserve and not constraints.any(axis=2).all():
+            raise BadData("taps: some position has no sample of some channel among them, and flat fields shall be kept")
+        filters = np.zeros((*layout.shape[:2], layout.positions, layout.classes, *self._sizes[::-1]))
+        for number in range(len(layout.noise)):
+            if number not in self.sums:
+                raise BadData(f"noise level {number} ({layout.noise[number]:g} of white): no training frame")
+            a, b, c = (shared(part, maps, axes, self.constant)
+                       for part, axes in zip(self.sums[number], ("gg", "go", "o"), strict=True))
+            filters[number] = self._solved(a, b, c, ridge, preserve, constraints, number)
+        filters = np.rint(filters * 2.0**40) / 2.0**40  # so that sums over mirror images are exact, and equal
+        filters = np.stack([shared(some, maps, "og", self.constant) for some in filters])
+        groups = layout.shape[-1]
+        return FilterTable(layout, filters[..., :groups], filters[..., groups] if self.constant else None, provenance)
+
+    def _solved(self, a, b, c, ridge, preserve, constraints, number):
+        layout = self.layout
+        terms = a.shape[-1]
+        letters = "".join(layout.mosaic)
+        flat = np.equal.outer(layout.channels, layout.outputs).astype(float)
+        own = self._own()
+        out = np.zeros((*a.shape[:3], b.shape[-1], terms))
+        for p in range(layout.positions):
+            place = f"noise level {number}, position {divmod(p, layout.period[1])} ({letters[p]})"
+            total = a[:, p].sum(axis=(0, 1))
+            values = np.linalg.eigvalsh(total)
+            if not values[0] > 1e-13 * values[-1]:
+                raise BadData(f"{place}: the training frames are singular, of {terms} terms "
+                              f"{(values > 1e-13 * values[-1]).sum()} vary independently; add frames with more detail "
+                              "or noise")
+            limit = (constraints[p], flat) if preserve else None
+            unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
+            everywhere = solved(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
+            for at in range(len(layout.levels)):
+                level = solved(a[at, p].sum(axis=0), b[at, p].sum(axis=0), unit, everywhere, limit)
+                for k in range(layout.classes):
+                    out[at, p, k] = solved(a[at, p, k], b[at, p, k], unit, level, limit).T
+            for o in [o for o, name in enumerate(layout.outputs) if name == letters[p] and own is not None]:
+                square = c[:, p, :, o].sum()
+                left = square - 2 * b[:, p, :, own, o].sum() + a[:, p, :, own, own].sum()
+                if abs(left) <= 1e-9 * square:
+                    out[:, p, :, o] = np.eye(terms)[own]
+        return out
+
+    def _own(self):
+        """The group that is the pixel's own sample alone, None if there is no such."""
+        layout = self.layout
+        at = layout.groups[(layout.taps == 0).all(axis=1)]
+        return at[0] if len(at) == 1 and (layout.groups == at[0]).sum() == 1 else None
+
+
+def solved(a, b, ridge, prior, limit):
+    """W (terms, outputs) with (A + ridge I) W = B + ridge prior, and, if there is a limit (C, d), C W = d."""
+    a = a + ridge * np.eye(len(a))
+    b = b if prior is None else b + ridge * prior
+    if limit is None:
+        return np.linalg.solve(a, b)
+    sums, values = limit
+    scale = np.trace(a) / len(a)
+    full = np.block([[a / scale, sums.T], [sums, np.zeros((len(sums), len(sums)))]])
+    return np.linalg.solve(full, np.vstack([b / scale, values]))[: len(a)]
+
+
+def flat_sums(layout: Layout, constant=False):
+    """What a flat field of 1 in one channel gives in each term, shape (P, channels, terms)."""
+    rows, cols = layout.period
+    letters = np.array([list(text) for text in layout.mosaic])
+    out = np.zeros((layout.positions, len(layout.channels), layout.shape[-1] + constant))
+    for p in range(layout.positions):
+        y, x = divmod(p, cols)
+        for (dy, dx), group in zip(layout.taps, layout.groups, strict=True):
+            out[p, layout.channels.index(letters[(y + dy) % rows, (x + dx) % cols]), group] += 1
+    return out
+
+
+def symmetries(layout: Layout, exchanges=()):
+    """Mirror images, transposes and shifts of the mosaic that are the mosaic again, perhaps with channels exchanged.
+
+    Returns a list of (positions (P,), classes (K,), groups (G,), outputs): where each of them comes to lie.
+    """
+    rows, cols = layout.period
+    letters = np.array([list(text) for text in layout.mosaic])
+    index = {tuple(tap): n for n, tap in enumerate(layout.taps.tolist())}
+    steps = np.stack(np.divmod(np.arange(layout.classes), layout.kinds))
+    swaps: list[dict[str, str]] = [{}]
+    for one, two in exchanges:
+        swaps += [{**swap, one: two, two: one} for swap in swaps]
+    found = []
+    for transpose in (False, True) if layout.alike else (False,):
+        for sign in np.array(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+            turned = (layout.taps[:, ::-1] if transpose else layout.taps) * sign
+            moved = [index.get(tuple(tap), -1) for tap in turned.tolist()]
+            if -1 in moved:
+                continue
+            groups = np.full(layout.shape[-1], -1)
+            groups[layout.groups] = layout.groups[moved]
+            if not np.array_equal(groups[layout.groups], layout.groups[moved]):
+                continue
+            direction = (2 * len(layout.ratios) - steps[0]) if transpose else steps[0]
+            classes = direction * layout.kinds + steps[1]
+            for swap in swaps:
+                outputs = [swap.get(name, name) for name in layout.outputs]
+                if not set(outputs) <= set(layout.outputs):
+                    continue
+                for shift in np.ndindex(rows, cols):
+                    places = np.indices((rows, cols)).reshape(2, -1)
+                    y, x = (places[::-1] if transpose else places) * sign[:, None] + np.array(shift)[:, None]
+                    y, x = y % rows, x % cols
+                    if [swap.get(letter, letter) for letter in letters.ravel()] == letters[y, x].tolist():
+                        found.append((y * cols + x, classes, groups, [layout.outputs.index(name) for name in outputs]))
+    return found
+
+
+def shared(values, maps, axes, constant=False):
+    """The mean of values and of all their mirror images turned back.
+
+    values: shape (.., P, K, *axes) with one axis before; axes: "g" for groups (and the constant), "o" for outputs.
+    """
+    out = np.zeros_like(values)
+    for places, classes, groups, outputs in maps:
+        orders = {"g": np.append(groups, len(groups)) if constant else groups, "o": outputs}
+        out += values[np.ix_(range(len(values)), places, classes, *(orders[axis] for axis in axes))]
+    return out / len(maps)

@@ -1,0 +1,216 @@
+"""Demosaicking by learned linear filters, chosen pixel by pixel: any mosaic to any planes in one pass.
+
+Ports: raw (rows, cols) uint16 [DN] -> planes (outputs, rows, cols) float32, 1 at the white level.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.data.learned import bayer_table
+from gpusim.domain.errors import BadData
+from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.kernels.processor.bayer import RED, check_mosaic
+from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.stage import Case, stage
+
+STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
+LANES = 128  # work-items of a GPU's group that sum the columns of a strip
+
+@stage
+def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None):
+    """Every pixel by the filter of its position in the mosaic, its class and the level around it.
+
+    raw: shape (rows, cols) uint16 [DN]. phase: the sensor's mosaic, "RGGB", "GRBG", "GBRG", "BGGR" or one period of any
+        other as a text per row; the table must be for it, or for one that differs by a shift.
+    black_level [DN]. scale [1/DN]. noise: (gain [DN/e-], read noise [DN]), (0, 0) for none: see `Code`.
+    domain: "root" for linear data, "linear" for data that are encoded already; None: what the table was made for.
+    table: a FilterTable; None: the built-in one of Bayer mosaics.
+    Bayer and other mosaics with a period of at most 2 are mirrored at borders without repeating the end pixel, others
+    repeat their outermost period. A Bayer frame of one row or column is interpolated bilinearly. Nothing is clipped.
+    Returns shape (outputs, rows, cols). Raises BadData (a frame smaller than 2 pixels or a period too), OutOfRange,
+    UnknownName (a mosaic that the table does not know).
+    Source: Lansel & Wandell 2011, "Local linear learned image processing pipeline", Imaging Systems and Applications;
+    Tian, Lansel, Farrell & Wandell 2014, Proc. SPIE 9023, 90230K.
+    """
+    check_mosaic(raw, scale)
+    table = bayer_table() if table is None else table
+    layout = table.layout
+    shift = layout.shift(phase)
+    code = Code(domain or layout.domain, float(black_level), float(scale), noise)
+    if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
+        return bilinear(raw, phase="".join(phase), black_level=black_level, scale=scale, device=device)
+    rows, cols = raw.shape
+    least = tuple(max(2, period) for period in layout.period)
+    if rows < least[0] or cols < least[1]:
+        raise BadData(f"raw: {rows}x{cols} pixels; with a mosaic of {layout.period[0]}x{layout.period[1]} at least "
+                      f"{least[0]}x{least[1]} are wanted")
+    gpu, opencl = device.is_gpu, device.kind == "opencl"
+    prepared = _prepared(device, table, code)
+    reach, root, levels = prepared.reach, int(code.domain == "root"), len(layout.levels)
+    stride = -(-(cols + 2 * reach + 8) // 16) * 16
+    run = 4 if layout.shape[-1] < 16 and gpu else 1
+    strip, high = (LANES - 2 * layout.box, 8) if gpu else (128, 16)
+    defines = prepared.defines | {"LANES": 1 if gpu else 8, "RUN": run, "STRIP": strip, "ROWS": high}
+    zero, pixels = float(np.sqrt(code.offset)), (2 * layout.box + 1) ** 2
+    unit = STEPS[code.domain] * code.white * pixels
+    black = 0.0 if root else float(np.ceil(code.black_level - 0.5))  # what whole codes are counted from
+
+    raw = device.array(raw, np.uint16)
+    codes = device.empty((rows + 2 * reach, stride))
+    units = device.empty((rows, cols), np.uint16)
+    between = device.empty((rows, cols) if levels > 1 else (1, 1))
+    out = device.empty((len(layout.outputs), rows, cols))
+    by_rows = opencl and not gpu
+    device.launch("processor.learned", "encode", (codes.shape[0], 1) if by_rows else codes.shape, raw, codes,
+                  float(code.offset - code.black_level), zero, *layout.period, rows, cols, stride,
+                  *(() if opencl else (reach, root)), defines=defines, group=(1, 1) if by_rows else None)
+    if opencl:
+        grid = -(-rows // high), -(-cols // strip) * (LANES if gpu else 1)
+        group, rest = (1, LANES if gpu else 1), ()
+    else:
+        along = 8 if gpu else 64
+        grid, group = (rows, -(-cols // along)), None
+        rest = (prepared.filters, reach, layout.box, root, layout.strengths.shape[1], len(layout.ratios),
+                len(layout.shares), along)
+    device.launch("processor.learned", "classify", grid, codes, prepared.limits, prepared.knots, units, between,
+                  prepared.least, float(1 / unit), float(black * pixels / unit), *shift, *layout.period, rows, cols,
+                  stride, *rest, defines=defines, group=group)
+    if opencl:
+        grid, group, rest = (-(-rows // run), cols if gpu else 1), None if gpu else (1, 1), ()
+    else:
+        grid, group = (rows, cols), None
+        rest = prepared.taps, reach, root, layout.classes, layout.shape[-1]
+    device.launch("processor.learned", "apply", grid, raw, codes, units, between, prepared.weights, prepared.planes,
+                  out, zero, float(code.offset), float(scale), code.black_level, rows, cols, stride, *rest,
+                  defines=defines, group=group)
+    return out
+
+
+class _Prepared:
+    """A table on a device, for frames of one code.
+
+    limits: bounds of the strengths, ratios, shares; least: the floor, all as whole numbers. weights: shape (levels,
+    positions K, computed, terms), a constant after the groups. planes: where outputs go at each position; if all
+    positions keep their sample (`defines["KEPT"]`), that one is last and has no weights. filters, taps: lists for Warp.
+    """
+
+    def __init__(self, device, table: FilterTable, code: Code):
+        layout = table.layout
+        filters, offsets, floor, strengths = table.at_noise(code.sigma)
+        unit = STEPS[code.domain] * code.white * (2 * layout.box + 1) ** 2
+        self.least = int(min(floor * layout.weight / 2 * unit, 2.0**19))
+        bounds = np.floor(np.minimum(strengths * layout.weight * unit, 2.0**27))
+        self.limits = device.array(np.concatenate([bounds, layout.ratios, layout.shares]).astype(np.int32), np.int32)
+        self.knots = device.array(layout.levels.astype(np.float32))
+
+        contrasts = [*layout.contrast, *(layout.detail or ())]
+        self.reach = max(int(abs(layout.taps).max()), max(map(len, contrasts)) // 2 + layout.box)
+        levels, positions, classes, outputs, groups = filters.shape
+        terms = -(-(groups + 1) // 8) * 8
+        weights = np.zeros((*filters.shape[:-1], terms), np.float32)
+        weights[..., :groups] = filters
+        constant = 0.0 if offsets is None else offsets * code.white
+        if code.domain == "linear":  # weights take whole digital numbers there
+            counts = np.bincount(layout.groups)
+            constant = constant - code.black_level * (weights[..., :groups].astype(np.float64) @ counts)
+        weights[..., groups] = constant
+        kept = _samples(layout, weights[..., :groups])
+        planes = np.array([[o for o in range(outputs) if o != own] + [own] * (own is not None) for own in kept])
+        computed = outputs - (None not in kept)
+        if computed < outputs:
+            weights = np.stack([weights[:, p].take(planes[p, :-1], axis=2) for p in range(positions)], axis=1)
+        else:
+            planes = np.tile(np.arange(outputs), (positions, 1))
+        self.planes = device.array(planes.astype(np.int32), np.int32)
+        self.weights = device.array(weights.reshape(levels, positions * classes, computed, terms))
+
+        order = np.lexsort((layout.taps[:, 1], layout.taps[:, 0], layout.groups))
+        taps = np.column_stack([layout.groups, layout.taps])[order]
+        wide = np.zeros((len(contrasts), 2 * max(len(c) // 2 for c in contrasts) + 1), np.int32)
+        for row, weight in zip(wide, contrasts, strict=True):
+            start = (len(row) - len(weight)) // 2
+            row[start : start + len(weight)] = weight
+        self.taps, self.filters = device.array(taps.astype(np.int32), np.int32), device.array(wide, np.int32)
+        names = ("DOWN", "ALONG", "DOWN_DETAIL", "ALONG_DETAIL")
+        half = wide.shape[1] // 2
+        self.defines: dict = {name: " ".join(f"F({k - half}, ({weight}))" for k, weight in enumerate(row) if weight)
+                        for name, row in zip(names, wide, strict=False)}
+        self.defines |= {"TAPS": " ".join("F({}, {}, {})".format(*tap) for tap in taps),
+                         "ROOT": int(code.domain == "root"),
+                         "REACH": self.reach, "SPAN": 2 * layout.box + 1, "BOUNDS": len(bounds),
+                         "RATIOS": len(layout.ratios), "SHARES": len(layout.shares), "LEVELS": levels,
+                         "CLASSES": classes, "UNITS": positions * classes, "TERMS": terms, "CONSTANT": groups,
+                         "COMPUTED": computed, "KEPT": outputs - computed}
+
+
+_prepared = functools.lru_cache(maxsize=16)(_Prepared)
+
+
+def _samples(layout: Layout, filters):
+    """Output that is the pixel's own sample in all classes, or None, for each position."""
+    own = np.flatnonzero((layout.taps == 0).all(axis=1))
+    if len(own) != 1 or (layout.groups == layout.groups[own[0]]).sum() != 1:
+        return [None] * layout.positions
+    unchanged = np.arange(layout.shape[-1]) == layout.groups[own[0]]
+    found = []
+    for p, letter in enumerate("".join(layout.mosaic)):
+        o = layout.outputs.index(letter) if letter in layout.outputs else None
+        found.append(None if o is None or (filters[:, p, :, o] != unchanged).any() else o)
+    return found
+
+
+X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
+
+
+def cases():
+    """The built-in table, both domains, all phases, with and without noise; random ones: RGBW with levels, X-Trans."""
+    random = np.random.default_rng(8)
+    rgbw = _random_table(("RG", "WB"), "XYZ", (0.2, 0.5, 0.9), (1, -2, 1, 0, -1, 2, -1), 2)
+    fuji = _random_table(X_TRANS, "RGB", (0.0,), (1, 0, 0, 0, 0, 0, -1), 3)
+    for domain, noise in (("linear", (0.0, 0.0)), ("root", (0.0, 0.0)), ("root", (9.0, 14.0))):
+        for size in ((2, 2), (3, 5), (38, 131)):
+            ramp = np.add.outer(29 * np.arange(size[0]), 11 * np.arange(size[1])) % 3000
+            raw = (ramp + random.integers(0, 1000, size)).astype(np.uint16)
+            raw.flat[0], raw.flat[-1] = 0, 4095
+            for phase in RED:
+                yield _case(f"{domain} {noise} {phase} {size[0]}x{size[1]}", raw, bayer_table(), phase=phase,
+                            domain=domain, noise=noise)
+    yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), domain="root", noise=(9.0, 14.0))
+    yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
+
+
+def _random_table(mosaic, outputs, levels, contrast, box):
+    """Filters without meaning, of all samples up to 3 pixels away."""
+    random = np.random.default_rng(9)
+    dy, dx = np.mgrid[-3:4, -3:4]
+    taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
+    layout = Layout(mosaic, tuple(outputs), "root", taps, np.arange(len(taps)), (contrast, contrast), box, (12, 24),
+                    [0.0], [0.01], [[0.05, 0.2]], levels)
+    return FilterTable(layout, random.normal(0.04, 0.1, layout.shape), random.normal(0, 0.1, layout.shape[:-1]))
+
+
+def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
+    """A case whose tolerance is all roundings on the way to the largest sum that a filter of the table can make."""
+    from gpusim.kernels.processor.learned_ref import learned as reference
+
+    code = Code(options["domain"], black_level, scale, options["noise"])
+    inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
+    taps = np.bincount(table.layout.groups)
+    largest = (np.abs(table.filters) @ taps).max() * (np.abs(code.measured(raw)).max() + code.black_level)
+    roundings = len(taps) + 8 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
+    peak = np.abs(reference(**inputs)).max() / scale
+    slope = 1.0 if code.domain == "linear" else 2 * np.sqrt(peak + code.offset)
+    return Case(name, inputs, roundings * 2.0**-24 * largest * slope / peak,
+                "a product and a sum for each group, the constant, weights and black level in float32, the decoding: "
+                "2^-24 each of the largest sum of absolute products, times the slope of the square; the place between "
+                "two levels has three roundings more, divided by their distance. Codes' sums and classes are exact")
+
+
+def bench(rows, cols):
+    """A 10-bit Bayer mosaic of ramps, edges and noise."""
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[:rows, :cols]
+    raw = 300 + 200 * np.sin(x / 37) * np.cos(y / 23) + 150 * ((x + 2 * y) // 60 % 2)
+    raw += random.normal(0, 8, (rows, cols))
+    return {"raw": raw.astype(np.uint16), "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

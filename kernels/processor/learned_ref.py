@@ -1,0 +1,127 @@
+"""Local, linear, learned demosaicking, float64: every pixel takes one linear filter by position, class and level.
+
+The decision (Lansel & Wandell 2011, "Local linear learned image processing pipeline", Imaging Systems and
+Applications; Tian et al. 2014, Proc. SPIE 9023): A and B are sums over a box of |contrast| along rows and columns,
+    direction = number of ratios r with A + e > r (B + e)  less  number with B + e > r (A + e),
+    strength = number of bounds below A + B,
+    share = number of ratios r with min(A, B) + e > r (min(P, Q) + e), P and Q the same as A and B of the detail.
+All of it is done on whole numbers: |contrasts|, rounded to DN or to 1/256 sqrt(DN), so that a pixel's class is the same
+wherever it is computed; for that reason roots are those of float32.
+"""
+
+import numpy as np
+
+from gpusim.data.learned import bayer_table
+from gpusim.domain.learned import Code, Layout
+from gpusim.kernels.processor.bilinear_ref import bilinear
+
+STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
+
+
+def learned(raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None):
+    """Raw (rows, cols) [DN] -> (outputs, rows, cols), 1 = white."""
+    layout = (table or bayer_table()).layout
+    if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
+        return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
+    code = Code(domain or layout.domain, black_level, scale, noise)
+    shift = layout.shift(phase)
+    filters, offsets, floor, strengths = (table or bayer_table()).at_noise(code.sigma)
+    codes = code.measured(raw)
+    classes, levels = classify(codes, code, layout, floor, strengths)
+    sums = grouped(codes, layout)
+    places = positions(layout, raw.shape, shift)
+
+    out = np.zeros((len(layout.outputs), *raw.shape))
+    for at, weight in hats(levels, layout.levels):
+        chosen = filters.astype(np.float32).astype(np.float64)[at, places, classes]  # (rows, cols, outputs, G)
+        result = np.einsum("yxog,gyx->oyx", chosen, sums)
+        if offsets is not None:
+            result += np.moveaxis(offsets.astype(np.float32)[at, places, classes], 2, 0) * np.float64(code.white)
+        out += weight * result
+    return code.decode(out) * scale
+
+
+def positions(layout: Layout, shape, shift=(0, 0)):
+    """Number of each pixel's position in the mosaic's period, shape (rows, cols)."""
+    rows, cols = ((np.arange(n) + first) % period
+                  for n, first, period in zip(shape, shift, layout.period, strict=True))
+    return np.add.outer(rows * layout.period[1], cols)
+
+
+def extended(plane, layout: Layout, reach):
+    """The plane with `reach` pixels more on every side: mirrored for periods of 1 and 2, else a period is repeated.
+
+    Either way every pixel has a colour of its place.
+    """
+    for axis, period in enumerate(layout.period):
+        n = plane.shape[axis]
+        if period <= 2:
+            plane = np.pad(plane, [(reach, reach) if a == axis else (0, 0) for a in range(2)], mode="reflect")
+        else:
+            i = np.arange(-reach, n + reach)
+            i = np.where(i < 0, i % period, np.where(i >= n, n - period + (i - n) % period, i))
+            plane = plane.take(i, axis)
+    return plane
+
+
+def grouped(codes, layout: Layout):
+    """Sums of the codes of each group of taps, shape (G, rows, cols)."""
+    reach = int(abs(layout.taps).max())
+    wide = extended(codes, layout, reach)
+    rows, cols = codes.shape
+    sums = np.zeros((layout.shape[-1], rows, cols))
+    for (dy, dx), group in zip(layout.taps + reach, layout.groups, strict=True):
+        sums[group] += wide[dy : dy + rows, dx : dx + cols]
+    return sums
+
+
+def classify(codes, code: Code, layout: Layout, floor, strengths):
+    """Class of each pixel, and the mean code around it relative to white; both of shape (rows, cols).
+
+    floor, strengths: relative to white, for this frame's noise.
+    """
+    def summed(plane):
+        return boxed(np.floor(plane * STEPS[code.domain] + 0.5), layout)
+
+    columns, rows = (summed(np.abs(filtered(codes, layout, axis, layout.contrast))) for axis in range(2))
+    unit = STEPS[code.domain] * code.white * (2 * layout.box + 1) ** 2
+    e = np.floor(min(floor * layout.weight / 2 * unit, 2.0**19))  # so all numbers stay below 2^31
+    bounds = np.floor(np.minimum(strengths * layout.weight * unit, 2.0**27))
+    ratios = layout.ratios[:, None, None]
+    direction = ((8 * rows > ratios * columns + (ratios - 8) * e).sum(axis=0)
+                 - (8 * columns > ratios * rows + (ratios - 8) * e).sum(axis=0))
+    classes = (direction + len(ratios)) * (len(bounds) + 1) + (rows + columns > bounds[:, None, None]).sum(axis=0)
+    if layout.detail is not None:
+        least = np.minimum(*(summed(np.abs(filtered(codes, layout, axis, layout.detail))) for axis in range(2)))
+        ratios = layout.shares[:, None, None]
+        share = (8 * np.minimum(rows, columns) > ratios * least + (ratios - 8) * e).sum(axis=0)
+        classes = classes * (len(ratios) + 1) + share
+    return classes, summed(extended(codes, layout, layout.box)) / unit
+
+
+def filtered(codes, layout: Layout, axis, weights):
+    """Contrast or detail along `axis`, on the frame and the box's reach around it."""
+    reach = len(weights[axis]) // 2
+    wide = extended(codes, layout, reach + layout.box)
+    rows, cols = (n + 2 * layout.box for n in codes.shape)
+    out = np.zeros((rows, cols))
+    for k, weight in enumerate(weights[axis]):
+        dy, dx = (k, reach) if axis == 0 else (reach, k)
+        out += weight * wide[dy : dy + rows, dx : dx + cols]
+    return out
+
+
+def boxed(wide, layout: Layout):
+    """Sums over (2 box + 1)^2 pixels of a plane that is wider than the frame by `box` on every side."""
+    n = 2 * layout.box + 1
+    down = np.lib.stride_tricks.sliding_window_view(wide, n, axis=0).sum(axis=-1)
+    return np.lib.stride_tricks.sliding_window_view(down, n, axis=1).sum(axis=-1)
+
+
+def hats(levels, knots):
+    """Yield (number of a level, its weight at every pixel): linear between neighbouring levels."""
+    if len(knots) == 1:
+        yield 0, 1.0
+        return
+    for k in range(len(knots)):
+        yield k, np.interp(levels, knots, np.eye(len(knots))[k])
