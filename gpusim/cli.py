@@ -1,4 +1,4 @@
-"""The command line: `gpusim simulate | verify | bench | devices`."""
+"""The command line: `gpusim simulate | train-l3 | verify | bench | devices`."""
 
 import argparse
 import dataclasses
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gpusim import __version__
 from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
+from gpusim.l3 import cli as train_l3
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -242,6 +243,8 @@ def _parser():
     simulate.add_argument("--band", action="append", default=[], metavar="NAME=NM",
                           help="wavelength of an .exr channel that is not named by it; may be repeated")
     simulate.set_defaults(run=_simulate)
+
+    train_l3.add_command(commands, device_help)
 
     verify = commands.add_parser("verify", help="every stage against the float64 reference; status 1 on any failure")
     bench = commands.add_parser("bench", help="speed of every stage against its error")
