@@ -1,0 +1,156 @@
+"""The best Bayer demosaicking of this library that interpolates: it knows the noise and the lens's blur.
+
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_level) scale: linear camera red, green
+and blue, 1 at the white level if scale = 1 / (white_level - black_level).
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.kernels.processor.adaptive import DOMAINS
+from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
+from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.stage import Case, stage
+
+MARGIN = 14  # mirrored pixels around the picture, see best.cl
+STRIPS = 4  # per core of a CPU: even loads
+LOWEST = 64  # rows of a strip: the 28 around it are computed twice
+PLANES = 9  # of a strip's scratch
+
+
+@stage
+def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0):
+    """Directional interpolation with regressed gains and taps that follow the colours, the blur and the noise.
+
+    raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
+    domain: "root" works on (signed) square roots, in which shot noise is the same everywhere: right for linear data.
+        "linear" works on the values, right for data that are encoded already.
+    noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN - black_level) + read^2 [DN^2].
+        (0, 0): no noise, measured samples are kept. Otherwise every value, measured ones included, is drawn towards
+        the mean of its neighbours where it differs from it by no more than noise does.
+    blur: standard deviation [pixel] of the lens's blur as a Gaussian: the more, the shorter the taps.
+    Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
+    Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
+    Sources: green - other differences, weighted by their gradients: Pekkucuksen & Altunbasak 2010, "Gradient based
+    threshold free color filter array interpolation", ICIP; gains regressed on Laplacians: Kiku et al. 2014,
+    "Minimized-Laplacian residual interpolation", SPIE 9023; weights of red and blue: Hamilton & Adams 1997, US patent
+    5629734 (expired); roots with an offset: Anscombe 1948, Biometrika 35. Own: taps by colour, shrinkage.
+    """
+    check_mosaic(raw, scale)
+    red_row, red_col = red_pixel(phase)
+    if domain not in DOMAINS:
+        raise UnknownName("domain", domain, DOMAINS)
+    gain, read = noise
+    if not (0 <= gain < np.inf and 0 <= read < np.inf):
+        raise OutOfRange("noise", noise, "gain >= 0 DN/e- and read >= 0 DN, finite")
+    if not 0 <= blur < np.inf:
+        raise OutOfRange("blur", blur, "0 <= blur < inf pixels")
+    raw = device.array(raw, np.uint16)
+    if 1 in raw.shape:
+        return bilinear(raw, phase=phase, black_level=black_level, scale=scale, device=device)
+    rows, cols = raw.shape
+    root, noisy = int(domain == "root"), int(gain > 0 or read > 0)
+    mosaic = (float(black_level), float(scale), *map(float, code_noise(root, gain * scale, read * scale)),
+              *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
+    half = -(-((cols + 1) // 2 + MARGIN + 7) // 8) * 8  # and room for a vector that starts at the last pixel
+    out = device.empty((3, rows, cols))
+    columns = (cols + 1) // 2
+    if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
+        height = max(-(-rows // (STRIPS * device.cl_device.max_compute_units)), LOWEST)
+        ring = 32 if noisy else 16
+        strips = -(-rows // height)
+        scratch = device.empty((strips, PLANES, ring, 2 * half))
+        steps = [("strip", (strips,), (raw, scratch, out, height, ring * 2 * half))]
+        options = {"defines": {"ROOT": root, "NOISY": noisy, "WIDTH": 8}, "group": (1,)}
+    else:
+        code, across, down, green, square, product, other = (device.empty((rows + 2 * MARGIN, 2 * half))
+                                                             for _ in range(7))
+        steps = [(kernel, (rows + 2 * (MARGIN - low), columns + MARGIN - low), (*planes, low))
+                 for kernel, low, planes in (("encode_all", 0, (raw, code)),
+                                             ("differences", 4, (code, across, down)),
+                                             ("greens", 8, (code, across, down, green)),
+                                             ("slopes", 10, (code, green, square, product)),
+                                             ("diagonals", 12, (code, green, square, product, other)),
+                                             ("colors", 14, (raw, code, green, square, product, other, out)))]
+        options = {"defines": {"ROOT": root, "NOISY": noisy, "WIDTH": 1}}
+    constants = () if device.kind == "opencl" else (root, noisy)
+    for kernel, grid, arrays in steps:
+        device.launch("processor.best", kernel, grid, *arrays, *mosaic, half, rows, cols, *constants, **options)
+    return out
+
+
+def code_noise(root, gain, read):
+    """Offset under the root, and variance = constant + slope * code, of noise with variance gain * x + read^2."""
+    if not root:
+        return 0.0, read**2, gain
+    if gain == read == 0:
+        return 0.0, 0.0, 0.0
+    gain = max(gain, read**2)  # read noise alone has no root that makes it even: its offset ends at the full scale
+    return 0.375 * gain + read**2 / gain, gain / 4, 0.0
+
+
+def tap_shares(blur):
+    """Share of the long taps where the colours are alike, and where they are not; blur leaves no detail to carry."""
+    return 0.945 - 1.7 * min(blur, 0.9) ** 2, -0.7 + 0.5 * min(blur, 0.9) ** 2
+
+
+def gain_prior(blur):
+    """Mean square bend below which gains stay 1; blur leaves only small ones, which then are all there is to go by."""
+    return 20 / 255**2 / (1 + (2.5 * blur) ** 4)
+
+
+WORST_CONDITION = 150  # of the cases, error out over error in; high where pairs of neighbours chance to agree
+
+
+def cases():
+    """All phases, both domains, with and without noise, odd and degenerate sizes, hard edges, flat fields."""
+    random = np.random.default_rng(5)
+    noise = (0.5, 3.0)
+    for domain in DOMAINS:
+        for phase in RED:
+            for rows, cols in ((1, 4), (2, 2), (3, 5), (33, 70)):
+                raw = (np.add.outer(17 * np.arange(rows), 9 * np.arange(cols)) % 1900
+                       + random.integers(300, 600, (rows, cols))).astype(np.uint16)
+                raw.flat[0], raw.flat[-1] = 50, 2500
+                yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
+            yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
+        ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
+        yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
+        yield _case(f"{domain} noisy ramp", random.poisson(ramp).astype(np.uint16), "GBRG", domain, noise=noise)
+        yield _case(f"{domain} read noise alone", random.poisson(ramp).astype(np.uint16), "BGGR", domain,
+                    noise=(0.0, 3.0))
+        edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
+        yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
+        yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",
+                                      "black_level": 64.0, "scale": 1 / 4096, "domain": domain}, 8 * 2.0**-24,
+                   "all differences are 0 and the gains 1: what rounds are the means of equal numbers")
+
+
+def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledge):
+    """A case whose tolerance is 48 roundings times the condition number of the reference on these data."""
+    from gpusim.kernels.processor.adaptive_ref import CODES
+    from gpusim.kernels.processor.best_ref import best as reference
+
+    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain, **knowledge}
+    encode, decode = CODES[domain]
+    code = encode(raw - black_level)
+    exact = reference(raw, **options)
+    random = np.random.default_rng(4)
+    step, worst = 1e-7, 0.0
+    for _ in range(3):
+        nudge = step * np.abs(code).max() * random.choice([-1.0, 1.0], raw.shape)
+        worst = max(worst, np.abs(reference(black_level + decode(code + nudge), **options) - exact).max())
+    condition = max(worst / step / np.abs(exact).max(), 1.0)
+    if condition > WORST_CONDITION:
+        raise ValueError(f"case {name}: condition {condition:.3g}; so sharp a case tests nothing")
+    return Case(name, {"raw": raw, **options}, 2 * 48 * 2.0**-24 * condition,
+                "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
+                "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
+                "samples by 2^-24 of the largest, whose effect the reference tells; 2 because three random changes "
+                "need not hit the worst one")
+
+
+def bench(rows, cols):
+    """A 10-bit mosaic."""
+    raw = np.random.default_rng(5).integers(0, 1024, (rows, cols), np.uint16)
+    return {"raw": raw, "phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}

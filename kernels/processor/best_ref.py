@@ -1,0 +1,129 @@
+"""Demosaicking by weighted colour differences, float64; the noise and the lens's blur set gains, taps and shrinkage.
+
+c = sgn(s) sqrt|s| with s = x + o (domain "root") or c = x ("linear"), x = (DN - black_level) scale. The variance of x
+is g x + r^2; that of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g (Anscombe 1948), g c + r^2 in "linear".
+
+1. Along each axis, with b = 2 c[0] - c[-2] - c[2], B = (c[-1] + c[1] - c[-3] - c[3]) / 2 (the other colour's b), and
+   sums over the two neighbours:   a = clip((<b B> + 2 P) / (<B B> + 2 P + 10 v), 0, 1)
+   gives the other colour  h = (c[-1] + c[1]) / 2 + a b / 4  and the difference  d = +-(h - c), green - other.
+   a is Hamilton-Adams' 1 where both colours bend alike (Kiku et al. 2014: the Laplacian's gain, regressed).
+2. Green at red and blue: each of the four sides has the weight (E + sum of |d[-1] - d[1]| over 4 pixels outwards,
+   3 across)^-2 (Pekkucuksen & Altunbasak 2010). The weighted means of two sets of taps, S = (.6 .4) and
+   L = (.2 .2 .2 .2 .2), are blended: G = c + S + alpha (L - S), alpha = (A t^2 + Z L^2) / (t^2 + L^2),
+   t = T (level + K). Far differences help where the colours are alike, and mislead where they are not.
+3. Red and blue: with F measured at its sites, a gain A = clip((<l(G) l(F)> + n P) / (<l(G)^2> + n P + 5 n v), 0, 1)
+   over the n sites within 3 pixels, l = (b of the row, b of the column), and F = A G + the mean of the two pairs of
+   neighbouring F - A G with weights 1 / (|p - q| + D + 2 sqrt v): first across the diagonals, then along the axes.
+With noise every value e is drawn towards the mean m of its neighbours (bilinear's for green; the four nearest of the
+same colour for measured ones):  m + y (y^2 + k v) / (y^2 + K v), y = e - m.
+"""
+
+import numpy as np
+
+from gpusim.kernels.processor.bilinear_ref import bilinear
+
+EDGE, DARK, ALIKE = 5 / 255, 10 / 255, 2 / 255  # E, K, D
+COLORED = 0.3  # T
+RIM = 14
+
+
+def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0):
+    """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
+    if 1 in raw.shape:
+        return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
+    longest = 0.945 - 1.7 * min(blur, 0.9) ** 2  # A
+    shortest = -0.7 + 0.5 * min(blur, 0.9) ** 2  # Z
+    prior = 20 / 255**2 / (1 + (2.5 * blur) ** 4)  # P
+    x = (np.asarray(raw, np.float64) - black_level) * scale
+    gain, read = noise[0] * scale, noise[1] * scale
+    noisy = gain > 0 or read > 0
+    offset, constant, slope = 0.0, read**2, gain
+    if domain == "root":
+        if noisy:
+            gain = max(gain, read**2)
+            offset = 0.375 * gain + read**2 / gain
+        constant, slope = gain / 4, 0.0
+    variance = lambda level: constant + slope * np.maximum(level, 0)  # noqa: E731
+    c = np.pad(x + offset, RIM, mode="reflect")
+    if domain == "root":
+        c = np.sign(c) * np.sqrt(np.abs(c))
+    letters = np.array(list(phase))[np.add.outer(2 * (np.arange(c.shape[0]) % 2), np.arange(c.shape[1]) % 2)]
+    is_green = letters == "G"
+
+    differences, steps = [], []
+    for axis in (1, 0):
+        at = lambda plane, n, axis=axis: np.roll(plane, -n, axis)  # noqa: E731  the rim takes the wrong ends
+        bend = 2 * c - at(c, -2) - at(c, 2)
+        other = (at(c, -1) + at(c, 1) - at(c, -3) - at(c, 3)) / 2
+        near = lambda plane: np.roll(plane, 1, axis) + np.roll(plane, -1, axis)  # noqa: B023, E731
+        a = np.clip((near(bend * other) + 2 * prior) / (near(other**2) + 2 * prior + 10 * variance(near(c) / 2)), 0, 1)
+        d = np.where(is_green, -1, 1) * (near(c) / 2 + a * bend / 4 - c)
+        step = np.abs(at(d, -1) - at(d, 1))
+        differences.append(d)
+        steps.append(step + np.roll(step, 1, 1 - axis) + np.roll(step, -1, 1 - axis))
+    short, far, weights = [], [], []
+    for axis, d, step in zip((1, 0), differences, steps, strict=True):
+        for side in (-1, 1):
+            out = [np.roll(d, -side * n, axis) for n in range(5)]
+            short.append(0.6 * out[0] + 0.4 * out[1])
+            far.append(sum(out) / 5)
+            weights.append((EDGE + sum(np.roll(step, -side * n, axis) for n in range(4))) ** -2)
+    short, far = np.average(short, axis=0, weights=weights), np.average(far, axis=0, weights=weights)
+    tent = lambda plane, axis: (2 * plane + np.roll(plane, 1, axis) + np.roll(plane, -1, axis)) / 4  # noqa: E731
+    like = (COLORED * (np.maximum(tent(tent(c, 0), 1), 0) + DARK)) ** 2
+    alpha = (longest * like + shortest * far**2) / (like + far**2)
+    green = np.where(is_green, c, c + short + alpha * (far - short))
+    kept = c
+    if noisy:
+        cross, corners, apart = (_ring(c, *places) for places in (AXES, DIAGONALS, FAR_AXES))
+        kept = _drawn(c, np.where(is_green, corners, apart), variance, 0.2, 3)
+        green = np.where(is_green, kept, _drawn(green, cross, variance, 0, 4))
+
+    bends = lambda plane: [2 * plane - np.roll(plane, 2, axis) - np.roll(plane, -2, axis) for axis in (0, 1)]  # noqa: E731
+    square = sum(b * b for b in bends(green))
+    product = sum(b * b_own for b, b_own in zip(bends(green), bends(c), strict=True))
+    planes = {"G": green}
+    for color in "RB":
+        sites = letters == color
+        n = _window(sites)
+        with np.errstate(invalid="ignore"):
+            a = np.clip((_window(sites * product) + n * prior)
+                        / (_window(sites * square) + n * prior + 5 * n * variance(green)), 0, 1)
+        limit = ALIKE + 2 * np.sqrt(variance(green))
+        diagonal = _blend(c, green, a, limit, DIAGONALS)
+        known = np.where(is_green, 0, np.where(sites, c, diagonal))
+        planes[color] = np.where(sites, kept, np.where(is_green, _blend(known, green, a, limit, AXES), diagonal))
+    result = np.stack([planes[color][RIM:-RIM, RIM:-RIM] for color in "RGB"])
+    if domain == "root":
+        result = result * np.abs(result) - offset + 0.75 * constant * noisy  # what averaging took from the mean square
+    measured = np.stack([letters[RIM:-RIM, RIM:-RIM] == color for color in "RGB"])
+    return result if noisy else np.where(measured, x, result)
+
+
+AXES = ((0, -1), (0, 1), (-1, 0), (1, 0))
+DIAGONALS = ((-1, -1), (1, 1), (-1, 1), (1, -1))
+FAR_AXES = ((0, -2), (0, 2), (-2, 0), (2, 0))
+
+
+def _ring(plane, *places):
+    return sum(np.roll(plane, place, (0, 1)) for place in places) / len(places)
+
+
+def _drawn(value, mean, variance, kept, reach):
+    """`value` drawn towards `mean` where they differ by no more than noise."""
+    change, v = value - mean, variance(mean)
+    return mean + change * (change**2 + kept * v) / (change**2 + reach * v + 1e-20)
+
+
+def _window(plane):
+    """Sum over 7 x 7 pixels."""
+    for axis in (0, 1):
+        plane = sum(np.roll(plane, n, axis) for n in range(-3, 4))
+    return plane
+
+
+def _blend(samples, green, a, limit, places):
+    """A G + the mean of two pairs of neighbouring samples - A G; the pair that agrees better weighs more."""
+    p, q, r, s = (np.roll(samples, (-dy, -dx), (0, 1)) - a * np.roll(green, (-dy, -dx), (0, 1)) for dy, dx in places)
+    return a * green + np.average([(p + q) / 2, (r + s) / 2], axis=0,
+                                  weights=[1 / (np.abs(p - q) + limit), 1 / (np.abs(r - s) + limit)])
