@@ -113,7 +113,9 @@ def quality(device, folder):
     sets = {path.name: list(photographs(path)) for path in sorted(folder.iterdir()) if any(path.glob("*.png"))}
     table = {}
     for name, method in modes().items():
-        options = {key: value for key, value in ENCODED.items() if key != "domain" or name in ("adaptive", "best")}
+        options = dict(ENCODED)
+        if name in ("bilinear", "malvar"):
+            del options["domain"]
         table[name] = {title: np.array([cpsnr(255 * np.moveaxis(method(mosaic(image), **options, device=device), 0, 2),
                                               image) for image in images]) for title, images in sets.items()}
     try:
@@ -134,13 +136,14 @@ def quality(device, folder):
     from gpusim.kernels.processor.adaptive import adaptive
     from gpusim.kernels.processor.best import best
     from gpusim.kernels.processor.bilinear import bilinear
+    from gpusim.kernels.processor.learned import learned
 
-    print(f"\n| seen as | {' | '.join(f'{title}: bilinear / adaptive / best' for title in sets)} |"
+    print(f"\n| seen as | {' | '.join(f'{title}: bilinear / adaptive / best / learned' for title in sets)} |"
           f"\n|---{'|---' * len(sets)}|")
     for electrons, blur in ((None, 0.0), (None, 0.5), (None, 0.8), (None, 1.2), (None, 2.0),
                             (5, 0.0), (20, 0.0), (100, 0.0), (1000, 0.0)):
-        cells = [np.mean([captured(image, electrons=electrons, blur=blur, seed=number,
-                                   methods=(bilinear, adaptive, best)) for number, image in enumerate(images)], axis=0)
+        shown = {"electrons": electrons, "blur": blur, "methods": (bilinear, adaptive, best, learned)}
+        cells = [np.mean([captured(image, seed=number, **shown) for number, image in enumerate(images)], axis=0)
                  for images in sets.values()]
         print(f"| {electrons or 'no noise,'}{' e-,' if electrons else ''} blur {blur} | "
               f"{' | '.join(' / '.join(f'{value:.2f}' for value in cell) for cell in cells)} |", flush=True)

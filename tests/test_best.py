@@ -14,6 +14,7 @@ from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.processor.learned import learned
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*scipy.ndimage.filters:DeprecationWarning")  # colour-demosaicing's
 TWELVE_BITS = {"black_level": 0.0, "scale": 1 / 4096}
@@ -203,7 +204,8 @@ def captured(image, *, electrons=None, blur=0.0, seed=0, methods=(bilinear, best
     raw = np.clip(np.round(numbers), 0, 65535).astype(np.uint16)
     quality = []
     for method in methods:
-        options = known if method is best else {}
+        options = known if method is best else {key: known[key] for key in ("noise",) if key in known and
+                                                method is learned}
         rgb = method(raw, phase="RGGB", black_level=black, scale=1 / white, **options, device="opencl")
         quality.append(cpsnr(codes(np.moveaxis(rgb.astype(np.float64), 0, 2)), codes(linear)))
     return quality
