@@ -287,7 +287,7 @@ def test_luminances_of_the_command():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rgbw", "rgbw-kodak", "x-trans", "quad-bayer"])
+@pytest.mark.parametrize("name", ["rgbw", "x-trans"])
 def test_full_training(name):
     """Learned filters are better than interpolation: by far in the dark, where they average more samples."""
     camera = rgbw_camera(mosaic(name))

@@ -51,6 +51,8 @@ class NormalEquations:
         for at, hat in hats(levels[inside].ravel(), layout.levels):
             for k in np.flatnonzero(np.diff(edges)):
                 some = order[edges[k] : edges[k + 1]]
+                if not np.isscalar(hat):
+                    some = some[hat[some] > 0]  # each sample counts for the two levels next to its own
                 left, right = s[:, some], t[:, some]
                 share = np.full(len(some), weight) * (hat if np.isscalar(hat) else hat[some])
                 scaled = left * share
