@@ -20,8 +20,10 @@ DIALECT = """
 #define barrier(fence) __syncthreads()
 #define get_local_id(axis) (int)threadIdx.x
 #define get_group_id(axis) (int)blockIdx.x
+#define ushort unsigned short
 #define PAIR(a, b) float2{a, b}
 #define QUAD(a, b) quad(a, b)
+#define FLOATS(at) ((float *)(at))
 struct __align__(8) float2 {
     float x, y;
     float2 operator+(const float2 b) const { return {x + b.x, y + b.y}; }
@@ -32,6 +34,8 @@ struct __align__(8) float2 {
 struct Kernels {
 float4 quad(const float2 a, const float2 b) { return make_float4(a.x, a.y, b.x, b.y); }
 """
+
+ELEMENTS = {"float2": "float", "float": "float", "int": "int", "ushort": "wp.uint16"}  # of arrays there and in Warp
 
 
 def native_kernel(wp, stage, kernel, defines, ranks):
@@ -44,9 +48,10 @@ def native_kernel(wp, stage, kernel, defines, ranks):
     parameters = re.search(rf"__kernel void {kernel}\((.*?)\)\s*{{", text, re.DOTALL)[1]
     parameters = [p.split() for p in re.sub(r"//.*", "", parameters).replace("*", " * ").split(",")]
     names = [p[-1] for p in parameters]
-    calls = [f"({'float2' if 'float2' in p else 'float'} *){p[-1]}.data" if "*" in p else p[-1] for p in parameters]
-    kinds = [f"wp.array(dtype=float, ndim={rank})" if "*" in p else p[-2]
-             for p, rank in zip(parameters, ranks, strict=True)]
+    types = [next(t for t in ELEMENTS if t in p) for p in parameters]
+    calls = [f"({t} *){p[-1]}.data" if "*" in p else p[-1] for p, t in zip(parameters, types, strict=True)]
+    kinds = [f"wp.array(dtype={ELEMENTS[t]}, ndim={rank})" if "*" in p else t
+             for p, t, rank in zip(parameters, types, ranks, strict=True)]
     macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     used = re.findall(r"#define (\w+)", macros + DIALECT + text)
     snippet = (f"\n{macros}{DIALECT}{text}\n}};\nKernels().{kernel}({', '.join(calls)});\n"

@@ -1,8 +1,10 @@
 // Everything happens on scratch planes of encoded samples with a margin of mirrored ones, so no step asks for borders.
 // A scratch row is its even columns, then its odd ones ("halves"): the sites of one colour are neighbours in memory.
-// Every step finds WIDTH neighbouring sites of one half. GPUs run the steps as kernels, one site per work-item, on
-// whole planes; on CPUs a work-item walks down a strip and runs each step as soon as the rows that it needs are there,
-// on scratch of a few rows (a ring, rows & MASK) that stays in the cache: one pass over the picture.
+// Every step finds WIDTH neighbouring sites of one half.
+// On CPUs a work-item walks down a strip and runs each step as soon as the rows that it needs are there, on scratch of a
+// few rows (a ring, rows & MASK) that stays in the cache: one pass over the picture.
+// GPUs make three passes over tiles: codes and differences, green, red and blue. What a pass alone needs stays in local
+// memory and is found again where tiles meet; a work-item does a run of rows, whose neighbours it loads once.
 // All sums are symmetric in left and right, up and down, and rows and columns; no contraction: a mirrored mosaic then
 // gives the mirrored picture bit for bit.
 #pragma OPENCL FP_CONTRACT OFF
@@ -11,15 +13,22 @@
 
 #define PLANE __global float *restrict
 #if WIDTH == 8
+#define TILE PLANE
+#define SLOPES_IN PLANE square, PLANE product
+#define SLOPES square, product
 typedef float8 __attribute__((aligned(4))) unaligned;  // PoCL's vload8 makes eight loads
 #define NEAR(from) (*(__global const unaligned *)(from))
 #define PUT(values, to) *(__global unaligned *)(to) = (values)
 #else
+#define TILE __local float *
+#define TILE_PAIRS (PAIRS + 4)  // a tile and what is needed around it
+#define SLOPES_IN __local float2 *slopes
+#define SLOPES slopes
 #define NEAR(from) (from)[0]
 #define PUT(values, to) (to)[0] = (values)
 #endif
 #define SQUARE(x) ((x) * (x))
-#define MARGIN 14  // what a pixel of the picture needs around it
+#define MARGIN (WIDTH == 1 ? 16 : 14)  // 14 is what a pixel of the picture needs around it; 16 aligns a GPU's vectors
 #define PLANES 9   // of scratch on a CPU
 #define MASK (WIDTH == 1 ? -1 : NOISY ? 31 : 15)
 // Thresholds are fractions of the full scale.
@@ -36,19 +45,36 @@ typedef struct {
     float longest, shortest;               // share of the long taps where the colours are alike, and are not
     float prior;                           // mean square bend below which gains stay 1
     int red_row, red_col, half_, rows, cols;
+    int corner;                            // of a tile: its first site is at -corner of a plane
 } Mosaic;
 
 // Offset of the pixel i columns right of column 2 q + e, from the start of its row + q.
-#define COLUMN(e, i) ((i) & 1 ? ((e) ? 0 : half_) + ((i) + ((e) ? 1 : -1)) / 2 : ((e) ? half_ : 0) + (i) / 2)
-#define ROW(plane, j) ((plane) + (size_t)((y + (j)) & MASK) * (2 * half_) + q)
+#define COLUMN(e, i) ((i) & 1 ? ((e) ? 1 : half_) + ((i) - 1) / 2 : ((e) ? half_ : 0) + (i) / 2)
+#define ROW(plane, j) ((plane) + (((y + (j)) & MASK) * (2 * half_) + q))  // 32 bits: addresses cost as much as sums
 #define AT(plane, j, i) NEAR(ROW(plane, j) + COLUMN(e, i))
 // The pixel i steps along and j across, for both axes.
 #define ALONG(plane, i, j) (vertical ? AT(plane, i, j) : AT(plane, j, i))
+// The same of planes that have red and blue sites alone: in local memory without the other half of the row.
+#if WIDTH == 1
+#define OWN(plane, j, i) (plane)[(y + (j)) * TILE_PAIRS + q - m.corner + ((i) & 1 ? e + ((i) - 1) / 2 : (i) / 2)]
+#else
+#define OWN AT
+#endif
+#define OWN_ALONG(plane, i, j) (vertical ? OWN(plane, i, j) : OWN(plane, j, i))
+
+// A GPU's correctly rounded quotient takes a dozen instructions; its own, and its root, err by about 2 ulp.
+#if WIDTH == 1
+#define QUOTIENT(a, b) native_divide(a, b)
+#define ROOT_OF native_sqrt
+#else
+#define QUOTIENT(a, b) ((a) / (b))
+#define ROOT_OF sqrt
+#endif
 
 INLINE real encode(const real x)
 {
 #if ROOT
-    return copysign(sqrt(fabs(x)), x);
+    return copysign(ROOT_OF(fabs(x)), x);
 #else
     return x;
 #endif
@@ -69,43 +95,48 @@ INLINE real noise_of(const real level, const Mosaic m) { return m.variance + m.s
 INLINE real draw(const real value, const real smooth, const real noise, const float kept, const float reach)
 {
     const real change = value - smooth, square = change * change;
-    return smooth + change * (square + kept * noise) / (square + reach * noise + 1e-20f);
+    return smooth + change * QUOTIENT(square + kept * noise, square + reach * noise + 1e-20f);
 }
 
 // Mean of (p, q) and (r, s) with weights 1 / (|p - q| + limit), 1 / (|r - s| + limit).
 INLINE real blend(const real p, const real q, const real r, const real s, const real limit)
 {
     const real first = fabs(r - s) + limit, second = fabs(p - q) + limit;
-    return 0.5f * ((p + q) * first + (r + s) * second) / (first + second);
+    return QUOTIENT(0.5f * ((p + q) * first + (r + s) * second), first + second);
 }
 
+INLINE real encoded(const real number, const Mosaic m)
+{
+    return encode((number - m.black_level) * m.scale + m.offset);
+}
+
+#if WIDTH > 1
 INLINE void encode_row(__global const ushort *restrict raw, PLANE code, const int y, const int q, const Mosaic m)
 {
     const int half_ = m.half_, x = 2 * q - MARGIN;
     __global const ushort *row = raw + (size_t)mirror(y - MARGIN, m.rows) * m.cols;
-#if WIDTH == 8
     if (x >= 0 && x + 16 <= m.cols) {
         const ushort8 first = vload8(0, row + x), second = vload8(1, row + x);
         const real even = convert_float8((ushort8)(first.even, second.even));
         const real odd = convert_float8((ushort8)(first.odd, second.odd));
-        PUT(encode((even - m.black_level) * m.scale + m.offset), ROW(code, 0));
-        PUT(encode((odd - m.black_level) * m.scale + m.offset), ROW(code, 0) + half_);
+        PUT(encoded(even, m), ROW(code, 0));
+        PUT(encoded(odd, m), ROW(code, 0) + half_);
         return;
     }
-#endif
     real even = 0.0f, odd = 0.0f;
     for (int lane = 0; lane < WIDTH; ++lane) {
         ((float *)&even)[lane] = row[mirror(x + 2 * lane, m.cols)];
         ((float *)&odd)[lane] = row[mirror(x + 2 * lane + 1, m.cols)];
     }
-    PUT(encode((even - m.black_level) * m.scale + m.offset), ROW(code, 0));
-    PUT(encode((odd - m.black_level) * m.scale + m.offset), ROW(code, 0) + half_);
+    PUT(encoded(even, m), ROW(code, 0));
+    PUT(encoded(odd, m), ROW(code, 0) + half_);
 }
+#endif
 
 // Interpolated other colour of the row (column) minus the own one, with the regressed gain of the Laplacian.
-INLINE real difference(PLANE code, const int y, const int q, const int e, const int vertical, const Mosaic m)
+INLINE real difference(TILE code, const int y, const int q, const int e, const int half_, const int vertical,
+                       const Mosaic m)
 {
-    const int half_ = m.half_;
 #define C(i) ALONG(code, i, 0)
 #define OWN_BEND(i) (2.0f * C(i) - (C(i - 2) + C(i + 2)))
 #define OTHER_BEND(i) (0.5f * ((C(i - 1) + C(i + 1)) - (C(i - 3) + C(i + 3))))
@@ -114,8 +145,8 @@ INLINE real difference(PLANE code, const int y, const int q, const int e, const 
 #if NOISY
     damping += 10.0f * noise_of(0.5f * sides, m);
 #endif
-    const real gain = clamp((OWN_BEND(-1) * before + OWN_BEND(1) * after + 2.0f * m.prior) /
-                            (before * before + after * after + damping), 0.0f, 1.0f);
+    const real gain = clamp(QUOTIENT(OWN_BEND(-1) * before + OWN_BEND(1) * after + 2.0f * m.prior,
+                                     before * before + after * after + damping), 0.0f, 1.0f);
     return 0.5f * sides + 0.25f * gain * OWN_BEND(0) - C(0);
 #undef C
 #undef OWN_BEND
@@ -141,9 +172,8 @@ INLINE void taps(PLANE d, PLANE steps, const int y, const int step_y, const int 
                      + (vertical ? COLUMN(e, 0) : COLUMN(e, i)))
 #endif
 #define D(i) ALONG(d, i, 0)
-    const real middle = STEP(0);
-    const real before = EDGE + (((middle + STEP(-1)) + STEP(-2)) + STEP(-3));
-    const real after = EDGE + (((middle + STEP(1)) + STEP(2)) + STEP(3));
+    const real before = EDGE + ((STEP(0) + STEP(-1)) + (STEP(-2) + STEP(-3)));
+    const real after = EDGE + ((STEP(0) + STEP(1)) + (STEP(2) + STEP(3)));
     const real flat_before = SQUARE(fmin(before, STEEP)), flat_after = SQUARE(fmin(after, STEEP));
     const real here = D(0), last = D(-1), next = D(1);  // signs alternate with the colour
     const real long_before = ((here - last) + D(-2)) + (D(-4) - D(-3));
@@ -164,7 +194,7 @@ INLINE real green_at(PLANE code, PLANE dh, PLANE dv, PLANE steps_h, PLANE steps_
     real short_h, short_v, long_h, long_v, weight_h, weight_v, scale_h, scale_v;
     taps(dh, steps_h, y, 0, q, e, half_, 0, &short_h, &long_h, &weight_h, &scale_h);
     taps(dv, steps_v, y, y, q, e, half_, 1, &short_v, &long_v, &weight_v, &scale_v);
-    const real share = 1.0f / (weight_h * scale_v + weight_v * scale_h);
+    const real share = QUOTIENT(1.0f, weight_h * scale_v + weight_v * scale_h);
     const real short_taps = (short_h * scale_v + short_v * scale_h) * share;
     const real long_taps = (long_h * scale_v + long_v * scale_h) * share;
     const real here = AT(code, 0, 0);
@@ -172,7 +202,7 @@ INLINE real green_at(PLANE code, PLANE dh, PLANE dv, PLANE steps_h, PLANE steps_
     const real diagonal = (AT(code, -1, -1) + AT(code, 1, 1)) + (AT(code, -1, 1) + AT(code, 1, -1));
     const real level = 0.25f * here + 0.125f * axial + 0.0625f * diagonal;
     const real alike = SQUARE(COLORED * (fmax(level, 0.0f) + DARK)), apart = SQUARE(long_taps);
-    const real alpha = (m.longest * alike + m.shortest * apart) / (alike + apart);
+    const real alpha = QUOTIENT(m.longest * alike + m.shortest * apart, alike + apart);
     const real green = here + (short_taps + alpha * (long_taps - short_taps));
 #if NOISY
     return draw(green, 0.25f * axial, noise_of(0.25f * axial, m), 0.0f, 4.0f);
@@ -195,15 +225,20 @@ INLINE real green_there(PLANE code, const int y, const int q, const int e, const
 }
 
 // Of the Laplacians of green and of the own colour, at red and blue sites: green's square, and the product.
-INLINE void slopes_at(PLANE code, PLANE green, PLANE square, PLANE product, const int y, const int q, const int e,
-                      const Mosaic m)
+INLINE void slopes_at(PLANE code, PLANE green, SLOPES_IN, const int y, const int q, const int e, const Mosaic m)
 {
     const int half_ = m.half_;
 #define ROW_BEND(p) (2.0f * AT(p, 0, 0) - (AT(p, 0, -2) + AT(p, 0, 2)))
 #define COLUMN_BEND(p) (2.0f * AT(p, 0, 0) - (AT(p, -2, 0) + AT(p, 2, 0)))
     const real green_h = ROW_BEND(green), green_v = COLUMN_BEND(green);
-    PUT(SQUARE(green_h) + SQUARE(green_v), ROW(square, 0) + COLUMN(e, 0));
-    PUT(green_h * ROW_BEND(code) + green_v * COLUMN_BEND(code), ROW(product, 0) + COLUMN(e, 0));
+    const real squares = SQUARE(green_h) + SQUARE(green_v);
+    const real products = green_h * ROW_BEND(code) + green_v * COLUMN_BEND(code);
+#if WIDTH == 1
+    OWN(slopes, 0, 0) = (float2)(squares, products);
+#else
+    PUT(squares, &OWN(square, 0, 0));
+    PUT(products, &OWN(product, 0, 0));
+#endif
 #undef ROW_BEND
 #undef COLUMN_BEND
 }
@@ -214,8 +249,19 @@ INLINE real gain_of(const real product, const real square, const float sites, co
 #if NOISY
     damping += 5.0f * sites * noise_of(level, m);
 #endif
-    return clamp((product + sites * m.prior) / (square + damping), 0.0f, 1.0f);
+    return clamp(QUOTIENT(product + sites * m.prior, square + damping), 0.0f, 1.0f);
 }
+
+// From the sums over the macro SITES.
+#if WIDTH == 1
+#define GAIN(sites, level) gain_over(SITES(slopes), sites, level, m)
+INLINE real gain_over(const float2 sums, const float sites, const real level, const Mosaic m)
+{
+    return gain_of(sums.y, sums.x, sites, level, m);
+}
+#else
+#define GAIN(sites, level) gain_of(SITES(product), SITES(square), sites, level, m)
+#endif
 
 INLINE real limit_of(const real level, const Mosaic m)
 {
@@ -227,14 +273,14 @@ INLINE real limit_of(const real level, const Mosaic m)
 }
 
 // At a red (blue) site the missing blue (red), from its four diagonal neighbours.
-INLINE real diagonal_at(PLANE code, PLANE green, PLANE square, PLANE product, const int y, const int q, const int e,
+INLINE real diagonal_at(PLANE code, PLANE green, SLOPES_IN, const int y, const int q, const int e,
                         const Mosaic m)
 {
     const int half_ = m.half_;
-#define RING(p, j, i) ((AT(p, -j, -i) + AT(p, j, i)) + (AT(p, -j, i) + AT(p, j, -i)))
+#define RING(p, j, i) ((OWN(p, -j, -i) + OWN(p, j, i)) + (OWN(p, -j, i) + OWN(p, j, -i)))
 #define SITES(p) ((RING(p, 1, 1) + RING(p, 3, 3)) + (RING(p, 1, 3) + RING(p, 3, 1)))
     const real level = AT(green, 0, 0);
-    const real gain = gain_of(SITES(product), SITES(square), 16.0f, level, m);
+    const real gain = GAIN(16.0f, level);
 #define REST(j, i) (AT(code, j, i) - gain * AT(green, j, i))
     return gain * level + blend(REST(-1, -1), REST(1, 1), REST(-1, 1), REST(1, -1), limit_of(level, m));
 #undef RING
@@ -243,16 +289,17 @@ INLINE real diagonal_at(PLANE code, PLANE green, PLANE square, PLANE product, co
 }
 
 // At a green site the colour that is measured along one axis, and was found across it.
-INLINE real axial_at(PLANE code, PLANE other, PLANE green, PLANE square, PLANE product, const int y, const int q,
+INLINE real axial_at(PLANE code, TILE other, PLANE green, SLOPES_IN, const int y, const int q,
                      const int e, const int vertical, const Mosaic m)
 {
     const int half_ = m.half_;
-#define LINE(p, j) ((ALONG(p, -3, j) + ALONG(p, 3, j)) + (ALONG(p, -1, j) + ALONG(p, 1, j)))
+#define LINE(p, j) ((OWN_ALONG(p, -3, j) + OWN_ALONG(p, 3, j)) + (OWN_ALONG(p, -1, j) + OWN_ALONG(p, 1, j)))
 #define SITES(p) ((LINE(p, -2) + LINE(p, 2)) + LINE(p, 0))
     const real level = AT(green, 0, 0);
-    const real gain = gain_of(SITES(product), SITES(square), 12.0f, level, m);
-#define REST(p, i, j) (ALONG(p, i, j) - gain * ALONG(green, i, j))
-    return gain * level + blend(REST(code, -1, 0), REST(code, 1, 0), REST(other, 0, -1), REST(other, 0, 1),
+    const real gain = GAIN(12.0f, level);
+#define REST(p, i, j) (p - gain * ALONG(green, i, j))
+    return gain * level + blend(REST(ALONG(code, -1, 0), -1, 0), REST(ALONG(code, 1, 0), 1, 0),
+                                REST(OWN_ALONG(other, 0, -1), 0, -1), REST(OWN_ALONG(other, 0, 1), 0, 1),
                                 limit_of(level, m));
 #undef LINE
 #undef SITES
@@ -273,6 +320,11 @@ INLINE void put_pair(__global float *restrict out, const int x, const int cols, 
         vstore8((float8)(even.s4, odd.s4, even.s5, odd.s5, even.s6, odd.s6, even.s7, odd.s7), 1, out + x);
         return;
     }
+#else
+    if (!(cols & 1)) {
+        if (x < cols) *(__global float2 *)(out + x) = (float2)(even, odd);
+        return;
+    }
 #endif
     for (int lane = 0; lane < WIDTH; ++lane) {
         if (x + 2 * lane < cols) out[x + 2 * lane] = ((float *)&even)[lane];
@@ -281,22 +333,31 @@ INLINE void put_pair(__global float *restrict out, const int x, const int cols, 
 }
 
 // The picture at WIDTH pairs of columns; `own` is the half (0 or 1) of the row's red or blue sites.
-INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE green, PLANE square, PLANE product,
-                      PLANE other, __global float *restrict rgb, const int y, const int q, const int own,
+INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE green, SLOPES_IN,
+                      TILE other, __global float *restrict rgb, const int y, const int q, const int own,
                       const Mosaic m)
 {
-    const int half_ = m.half_, row = y - MARGIN, x = 2 * q - MARGIN;
+#if WIDTH == 1
+    const int row = min(y - MARGIN, m.rows - 1), x = y - MARGIN < m.rows ? 2 * q - MARGIN : m.cols;  // nothing beyond
+#else
+    const int row = y - MARGIN, x = 2 * q - MARGIN;
+#endif
+    const int half_ = m.half_;
     const size_t pixels = (size_t)m.rows * m.cols;
     __global float *middle = rgb + pixels + (size_t)row * m.cols;
     __global float *first = is_red_row(row, m.red_row) ? middle - pixels : middle + pixels;
     __global float *last = is_red_row(row, m.red_row) ? middle + pixels : middle - pixels;
     real own_here, green_there, other_there, own_there;
     const real green_here = decode(NEAR(ROW(green, 0) + (own ? half_ : 0)), m);
-    const real other_here = decode(NEAR(ROW(other, 0) + (own ? half_ : 0)), m);
+    real other_here;
+    {
+        const int e = own;
+        other_here = decode(OWN(other, 0, 0), m);
+    }
     {
         const int e = 1 - own;
-        own_there = decode(axial_at(code, other, green, square, product, y, q, e, 0, m), m);
-        other_there = decode(axial_at(code, other, green, square, product, y, q, e, 1, m), m);
+        own_there = decode(axial_at(code, other, green, SLOPES, y, q, e, 0, m), m);
+        other_there = decode(axial_at(code, other, green, SLOPES, y, q, e, 1, m), m);
     }
 #if NOISY
     {
@@ -333,61 +394,91 @@ INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE gre
     const float black_level, const float scale, const float offset, const float variance,             \
     const float shot, const float longest, const float shortest, const float prior,                   \
     const int red_row, const int red_col, const int half_, const int rows, const int cols
-#define MOSAIC                                                                               \
+#define MOSAIC(corner)                                                               \
     const Mosaic m = {black_level, scale, offset, variance, shot, longest, shortest, \
-                      prior, red_row, red_col, half_, rows, cols}
+                      prior, red_row, red_col, half_, rows, cols, corner}
 #define FIRST(y) first_own((y) - MARGIN, red_row, red_col)
 
 #if WIDTH == 1
-#define SITE(low, count_rows, count)                                            \
-    const int y = (int)get_global_id(1) + (low), q = (int)get_global_id(0) + (low) / 2; \
-    GUARD(y >= (low) + (count_rows) || q >= (low) / 2 + (count))                \
-    MOSAIC
+// A tile is HIGH rows of PAIRS pairs, a work-group GROUP work-items. Planes have room for whole tiles: only the picture
+// asks for its end.
+#define FIRST_ROW(low) (int)get_group_id(1) * HIGH + (low)
+#define FIRST_PAIR(low) (int)get_group_id(0) * PAIRS + (low) / 2
 
-__kernel void encode_all(__global const ushort *restrict raw, PLANE code, const int low, PARAMS)
+// Codes, and differences along the rows (dh) and columns (dv).
+__kernel void differences(__global const ushort *restrict raw, PLANE code, PLANE dh, PLANE dv, PARAMS)
 {
-    SITE(low, rows + 2 * (MARGIN - low), (cols + 1) / 2 + MARGIN - low);
-    encode_row(raw, code, y, q, m);
+    MOSAIC(0);
+    __local float tile[(HIGH + 8) * 2 * TILE_PAIRS];
+    const int first_y = FIRST_ROW(MARGIN - 10), first_q = FIRST_PAIR(0);
+    for (int site = get_local_id(0); site < (HIGH + 8) * TILE_PAIRS; site += GROUP) {
+        const int y = site / TILE_PAIRS, q = site % TILE_PAIRS, x = 2 * (first_q - 2 + q) - MARGIN;
+        __global const ushort *row = raw + (size_t)mirror(first_y - 4 + y - MARGIN, rows) * cols;
+        float even, odd;
+        if (x >= 0 && x + 1 < cols && !(cols & 1)) {
+            const ushort2 pair = *(__global const ushort2 *)(row + x);
+            even = pair.x;
+            odd = pair.y;
+        } else {
+            even = row[mirror(x, cols)];
+            odd = row[mirror(x + 1, cols)];
+        }
+        tile[y * 2 * TILE_PAIRS + q] = encoded(even, m);
+        tile[y * 2 * TILE_PAIRS + q + TILE_PAIRS] = encoded(odd, m);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int run = get_local_id(0); run < HIGH / RUN * PAIRS; run += GROUP) {
+        const int first = run / PAIRS * RUN, q = run % PAIRS + 2;
+#pragma unroll
+        for (int y = first + 4; y < first + 4 + RUN; ++y) {
+            const size_t at = (size_t)(first_y + y - 4) * (2 * half_) + first_q + q - 2;
+            code[at] = tile[y * 2 * TILE_PAIRS + q];
+            dh[at] = difference(tile, y, q, 0, TILE_PAIRS, 0, m);
+            dv[at] = difference(tile, y, q, 0, TILE_PAIRS, 1, m);
+            code[at + half_] = tile[y * 2 * TILE_PAIRS + q + TILE_PAIRS];
+            dh[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 0, m);
+            dv[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 1, m);
+        }
+    }
 }
 
-__kernel void differences(PLANE code, PLANE dh, PLANE dv, const int low, PARAMS)
+// Runs of every other row, which have their red and blue sites in the same half.
+#define ROW_OF_RUN(n, run) ((n) / 2 * 2 * (run) + (n) % 2)
+
+__kernel void greens(PLANE code, PLANE dh, PLANE dv, PLANE green, PARAMS)
 {
-    SITE(low, rows + 2 * (MARGIN - low), (cols + 1) / 2 + MARGIN - low);
-    const size_t at = (size_t)y * (2 * half_) + q;
-    dh[at] = difference(code, y, q, 0, 0, m);
-    dv[at] = difference(code, y, q, 0, 1, m);
-    dh[at + half_] = difference(code, y, q, 1, 0, m);
-    dv[at + half_] = difference(code, y, q, 1, 1, m);
+    MOSAIC(0);
+    const int first = ROW_OF_RUN((int)get_global_id(1), RUN) + MARGIN - 6, q = get_global_id(0), e = FIRST(first);
+#pragma unroll
+    for (int n = 0; n < RUN; ++n) {
+        const int y = first + 2 * n;
+        PLANE row = green + (size_t)y * (2 * half_) + q;
+        row[e ? half_ : 0] = green_at(code, dh, dv, 0, 0, y, q, e, m);
+        row[e ? 0 : half_] = green_there(code, y, q, 1 - e, m);
+    }
 }
 
-__kernel void greens(PLANE code, PLANE dh, PLANE dv, PLANE green, const int low, PARAMS)
-{
-    SITE(low, rows + 2 * (MARGIN - low), (cols + 1) / 2 + MARGIN - low);
-    const int e = FIRST(y);
-    PLANE row = green + (size_t)y * (2 * half_) + q;
-    row[e ? half_ : 0] = green_at(code, dh, dv, 0, 0, y, q, e, m);
-    row[e ? 0 : half_] = green_there(code, y, q, 1 - e, m);
-}
+// Do a step at all sites of a tile and `around` it; `run` rows per work-item.
+#define EVERYWHERE(around, run, step)                                                                   \
+    for (int n = get_local_id(0); n < (HIGH + 2 * (around)) / (run) * (PAIRS + ((around) + 1) / 2 * 2); \
+         n += GROUP) {                                                                                  \
+        const int wide = PAIRS + ((around) + 1) / 2 * 2, q = first_q - ((around) + 1) / 2 + n % wide;   \
+        const int first = first_y - (around) + ROW_OF_RUN(n / wide, run), e = FIRST(first);             \
+        _Pragma("unroll")                                                                               \
+        for (int y = first; y < first + 2 * (run); y += 2) step;                                        \
+    }
 
-__kernel void slopes(PLANE code, PLANE green, PLANE square, PLANE product, const int low, PARAMS)
+__kernel void colors(__global const ushort *restrict raw, PLANE code, PLANE green, __global float *restrict rgb, PARAMS)
 {
-    SITE(low, rows + 2 * (MARGIN - low), (cols + 1) / 2 + MARGIN - low);
-    slopes_at(code, green, square, product, y, q, FIRST(y), m);
-}
-
-__kernel void diagonals(PLANE code, PLANE green, PLANE square, PLANE product, PLANE other, const int low, PARAMS)
-{
-    SITE(low, rows + 2 * (MARGIN - low), (cols + 1) / 2 + MARGIN - low);
-    const int e = FIRST(y);
-    other[(size_t)y * (2 * half_) + q + (e ? half_ : 0)] =
-        diagonal_at(code, green, square, product, y, q, e, m);
-}
-
-__kernel void colors(__global const ushort *restrict raw, PLANE code, PLANE green, PLANE square, PLANE product,
-                     PLANE other, __global float *restrict rgb, const int low, PARAMS)
-{
-    SITE(low, rows, (cols + 1) / 2);
-    colors_at(raw, code, green, square, product, other, rgb, y, q, FIRST(y), m);
+    __local float2 slopes[(HIGH + 8) * TILE_PAIRS];
+    __local float other[(HIGH + 8) * TILE_PAIRS];
+    const int first_y = FIRST_ROW(MARGIN), first_q = FIRST_PAIR(MARGIN);
+    MOSAIC((first_y - 4) * TILE_PAIRS + first_q - 2);
+    EVERYWHERE(4, RUN, slopes_at(code, green, SLOPES, y, q, e, m))
+    barrier(CLK_LOCAL_MEM_FENCE);
+    EVERYWHERE(1, RUN_DIAGONALS, OWN(other, 0, 0) = diagonal_at(code, green, SLOPES, y, q, e, m))
+    barrier(CLK_LOCAL_MEM_FENCE);
+    EVERYWHERE(0, RUN, colors_at(raw, code, green, SLOPES, other, rgb, y, q, e, m))
 }
 
 #else
@@ -398,7 +489,7 @@ __kernel void colors(__global const ushort *restrict raw, PLANE code, PLANE gree
 __kernel void strip(__global const ushort *restrict raw, __global float *restrict scratch, __global float *restrict rgb,
                     const int height, const int plane, PARAMS)
 {
-    MOSAIC;
+    MOSAIC(0);
     const int half_end = (cols + 1) / 2 + MARGIN;
     PLANE code = scratch + (size_t)get_global_id(0) * PLANES * plane;
     PLANE dh = code + plane;
@@ -416,10 +507,10 @@ __kernel void strip(__global const ushort *restrict raw, __global float *restric
         y = line - 4;
         if (y >= top - 10)
             ALONG_ROW(4) {
-                PUT(difference(code, y, q, 0, 0, m), ROW(dh, 0));
-                PUT(difference(code, y, q, 0, 1, m), ROW(dv, 0));
-                PUT(difference(code, y, q, 1, 0, m), ROW(dh, 0) + half_);
-                PUT(difference(code, y, q, 1, 1, m), ROW(dv, 0) + half_);
+                PUT(difference(code, y, q, 0, half_, 0, m), ROW(dh, 0));
+                PUT(difference(code, y, q, 0, half_, 1, m), ROW(dv, 0));
+                PUT(difference(code, y, q, 1, half_, 0, m), ROW(dh, 0) + half_);
+                PUT(difference(code, y, q, 1, half_, 1, m), ROW(dv, 0) + half_);
             }
         y = line - 5;
         if (y >= top - 9)
@@ -448,25 +539,25 @@ __kernel void strip(__global const ushort *restrict raw, __global float *restric
         y = line - 10;
         if (y >= top - 4) {
             if (FIRST(y)) {
-                ALONG_ROW(10) slopes_at(code, green, square, product, y, q, 1, m);
+                ALONG_ROW(10) slopes_at(code, green, SLOPES, y, q, 1, m);
             } else {
-                ALONG_ROW(10) slopes_at(code, green, square, product, y, q, 0, m);
+                ALONG_ROW(10) slopes_at(code, green, SLOPES, y, q, 0, m);
             }
         }
         y = line - 13;
         if (y >= top - 1) {
             if (FIRST(y)) {
-                ALONG_ROW(12) PUT(diagonal_at(code, green, square, product, y, q, 1, m), ROW(other, 0) + half_);
+                ALONG_ROW(12) PUT(diagonal_at(code, green, SLOPES, y, q, 1, m), ROW(other, 0) + half_);
             } else {
-                ALONG_ROW(12) PUT(diagonal_at(code, green, square, product, y, q, 0, m), ROW(other, 0));
+                ALONG_ROW(12) PUT(diagonal_at(code, green, SLOPES, y, q, 0, m), ROW(other, 0));
             }
         }
         y = line - 14;
         if (y >= top && y < bottom) {
             if (FIRST(y)) {
-                ALONG_ROW(14) colors_at(raw, code, green, square, product, other, rgb, y, q, 1, m);
+                ALONG_ROW(14) colors_at(raw, code, green, SLOPES, other, rgb, y, q, 1, m);
             } else {
-                ALONG_ROW(14) colors_at(raw, code, green, square, product, other, rgb, y, q, 0, m);
+                ALONG_ROW(14) colors_at(raw, code, green, SLOPES, other, rgb, y, q, 0, m);
             }
         }
     }

@@ -16,6 +16,11 @@ MARGIN = 14  # mirrored pixels around the picture, see best.cl
 STRIPS = 4  # per core of a CPU: even loads
 LOWEST = 64  # rows of a strip: the 28 around it are computed twice
 PLANES = 9  # of a strip's scratch
+# A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of columns, work-items of
+# its group, rows that one of them takes.
+TILE = {"HIGH": 16, "PAIRS": 64, "GROUP": 256, "RUN": 4, "RUN_DIAGONALS": 3}
+RUN = 4  # rows of a thread in Warp
+ROOM = 128  # of planes around the picture, for whole tiles
 
 
 @stage
@@ -52,31 +57,45 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
     root, noisy = int(domain == "root"), int(gain > 0 or read > 0)
     mosaic = (float(black_level), float(scale), *map(float, code_noise(root, gain * scale, read * scale)),
               *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
-    half = -(-((cols + 1) // 2 + MARGIN + 7) // 8) * 8  # and room for a vector that starts at the last pixel
-    out = device.empty((3, rows, cols))
     columns = (cols + 1) // 2
+    out = device.empty((3, rows, cols))
+    defines = {"ROOT": root, "NOISY": noisy}
     if device.kind == "opencl" and not device.is_gpu:  # one pass, WIDTH pixels at a time
+        half = -(-(columns + MARGIN + 7) // 8) * 8  # and room for a vector that starts at the last pixel
         height = max(-(-rows // (STRIPS * device.cl_device.max_compute_units)), LOWEST)
         ring = 32 if noisy else 16
         strips = -(-rows // height)
         scratch = device.empty((strips, PLANES, ring, 2 * half))
-        steps = [("strip", (strips,), (raw, scratch, out, height, ring * 2 * half))]
-        options = {"defines": {"ROOT": root, "NOISY": noisy, "WIDTH": 8}, "group": (1,)}
+        steps = [("strip", (strips,), (1,), (raw, scratch, out, height, ring * 2 * half))]
+        defines["WIDTH"] = 8
+    elif device.kind == "opencl":  # three passes over tiles
+        half = -(-(columns + ROOM) // 32) * 32
+        code, across, down, green = (device.empty((rows + ROOM, 2 * half)) for _ in range(4))
+        runs = -(-(rows + 12) // (2 * TILE["RUN"])) * 2
+        steps = [("differences", *_tiles(rows + 20, columns + 13), (raw, code, across, down)),
+                 ("greens", (runs, columns + 11), (2, 32), (code, across, down, green)),
+                 ("colors", *_tiles(rows, columns), (raw, code, green, out))]
+        defines |= {"WIDTH": 1, **TILE}
     else:
-        code, across, down, green, square, product, other = (device.empty((rows + 2 * MARGIN, 2 * half))
+        width = 2 * (columns + MARGIN)
+        code, across, down, green, square, product, other = (device.empty(((rows + 2 * MARGIN + RUN) * width,))
                                                              for _ in range(7))
-        steps = [(kernel, (rows + 2 * (MARGIN - low), columns + MARGIN - low), (*planes, low))
-                 for kernel, low, planes in (("encode_all", 0, (raw, code)),
-                                             ("differences", 4, (code, across, down)),
-                                             ("greens", 8, (code, across, down, green)),
-                                             ("slopes", 10, (code, green, square, product)),
-                                             ("diagonals", 12, (code, green, square, product, other)),
-                                             ("colors", 14, (raw, code, green, square, product, other, out)))]
-        options = {"defines": {"ROOT": root, "NOISY": noisy, "WIDTH": 1}}
-    constants = () if device.kind == "opencl" else (root, noisy)
-    for kernel, grid, arrays in steps:
-        device.launch("processor.best", kernel, grid, *arrays, *mosaic, half, rows, cols, *constants, **options)
+        steps = [(kernel, (-(-(rows + 2 * (MARGIN - low)) // RUN), (width - 2 * low) // sites), None, (*planes, low, width))
+                 for kernel, low, sites, planes in (
+                     ("encode_all", 0, 1, (raw, code)), ("differences", 4, 1, (code, across, down)),
+                     ("greens", 8, 2, (code, across, down, green)),
+                     ("slopes", 10, 2, (code, green, square, product)),
+                     ("diagonals", 12, 2, (code, green, square, product, other)),
+                     ("colors", 14, 2, (raw, code, green, square, product, other, out)))]
+    shape = (half, rows, cols) if device.kind == "opencl" else (rows, cols, root, noisy)
+    for kernel, grid, group, arrays in steps:
+        device.launch("processor.best", kernel, grid, *arrays, *mosaic, *shape, defines=defines, group=group)
     return out
+
+
+def _tiles(rows, pairs):
+    """Grid and group of work-items over whole tiles."""
+    return (-(-rows // TILE["HIGH"]), -(-pairs // TILE["PAIRS"]) * TILE["GROUP"]), (1, TILE["GROUP"])
 
 
 def code_noise(root, gain, read):

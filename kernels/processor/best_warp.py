@@ -1,4 +1,4 @@
-"""The steps of best.cl as kernels, one pair of columns (2 q, 2 q + 1) of the scratch planes per thread."""
+"""The steps of best.cl as kernels: codes and differences by pixel, the others by pair of columns (2 q, 2 q + 1)."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -8,13 +8,14 @@ from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})  # mirrored mosaic, mirrored picture
 
 MARGIN = wp.constant(14)
+RUN = 4  # rows of a thread: what starts one costs as much as a pixel
 EDGE = wp.constant(5.0 / 255.0)
 STEEP = wp.constant(1.0e4)
 DARK = wp.constant(10.0 / 255.0)
 ALIKE = wp.constant(2.0 / 255.0)
 COLORED = wp.constant(0.3)
 KEPT_REACH = wp.constant(3.0)
-PLANE = wp.array2d[float]
+PLANE = wp.array[float]  # rows of `width`, one after the other: pixel c has neighbours at c +- 1 and c +- width
 
 
 @wp.func
@@ -52,84 +53,78 @@ def blend(p: float, q: float, r: float, s: float, limit: float):
 
 
 @wp.func
-def at(plane: PLANE, y: int, x: int):
-    """Return column x of a row that is its even columns, then its odd ones."""
-    return plane[y, (x >> 1) + (x & 1) * (plane.shape[1] / 2)]
-
-
-@wp.func
-def along(plane: PLANE, y: int, x: int, i: int, j: int, vertical: int):
+def along(plane: PLANE, c: int, width: int, i: int, j: int, vertical: int):
     """Return the pixel i steps along and j across."""
     if vertical == 1:
-        return at(plane, y + i, x + j)
-    return at(plane, y + j, x + i)
+        return plane[c + i * width + j]
+    return plane[c + j * width + i]
 
 
 @wp.func
-def own_bend(code: PLANE, y: int, x: int, i: int, vertical: int):
-    return 2.0 * along(code, y, x, i, 0, vertical) - (
-        along(code, y, x, i - 2, 0, vertical) + along(code, y, x, i + 2, 0, vertical))
+def own_bend(code: PLANE, c: int, width: int, i: int, vertical: int):
+    return 2.0 * along(code, c, width, i, 0, vertical) - (
+        along(code, c, width, i - 2, 0, vertical) + along(code, c, width, i + 2, 0, vertical))
 
 
 @wp.func
-def other_bend(code: PLANE, y: int, x: int, i: int, vertical: int):
-    return 0.5 * ((along(code, y, x, i - 1, 0, vertical) + along(code, y, x, i + 1, 0, vertical))
-                  - (along(code, y, x, i - 3, 0, vertical) + along(code, y, x, i + 3, 0, vertical)))
+def other_bend(code: PLANE, c: int, width: int, i: int, vertical: int):
+    return 0.5 * ((along(code, c, width, i - 1, 0, vertical) + along(code, c, width, i + 1, 0, vertical))
+                  - (along(code, c, width, i - 3, 0, vertical) + along(code, c, width, i + 3, 0, vertical)))
 
 
 @wp.func
-def difference(code: PLANE, y: int, x: int, vertical: int, variance: float, shot: float, prior: float):
+def difference(code: PLANE, c: int, width: int, vertical: int, variance: float, shot: float, prior: float):
     """Return the interpolated other colour of the row (column) minus the own one."""
-    before = other_bend(code, y, x, -1, vertical)
-    after = other_bend(code, y, x, 1, vertical)
-    sides = along(code, y, x, -1, 0, vertical) + along(code, y, x, 1, 0, vertical)
-    product = own_bend(code, y, x, -1, vertical) * before + own_bend(code, y, x, 1, vertical) * after
+    before = other_bend(code, c, width, -1, vertical)
+    after = other_bend(code, c, width, 1, vertical)
+    sides = along(code, c, width, -1, 0, vertical) + along(code, c, width, 1, 0, vertical)
+    product = own_bend(code, c, width, -1, vertical) * before + own_bend(code, c, width, 1, vertical) * after
     damping = 2.0 * prior + 10.0 * noise_of(0.5 * sides, variance, shot)
     gain = wp.clamp((product + 2.0 * prior) / (before * before + after * after + damping), 0.0, 1.0)
-    return 0.5 * sides + 0.25 * gain * own_bend(code, y, x, 0, vertical) - at(code, y, x)
+    return 0.5 * sides + 0.25 * gain * own_bend(code, c, width, 0, vertical) - code[c]
 
 
 @wp.func
-def step(d: PLANE, y: int, x: int, i: int, vertical: int):
+def step(d: PLANE, c: int, width: int, i: int, vertical: int):
     """Return how d changes across pixel i, over three lines."""
-    first = wp.abs(along(d, y, x, i - 1, -1, vertical) - along(d, y, x, i + 1, -1, vertical))
-    last = wp.abs(along(d, y, x, i - 1, 1, vertical) - along(d, y, x, i + 1, 1, vertical))
-    return (first + last) + wp.abs(along(d, y, x, i - 1, 0, vertical) - along(d, y, x, i + 1, 0, vertical))
+    first = wp.abs(along(d, c, width, i - 1, -1, vertical) - along(d, c, width, i + 1, -1, vertical))
+    last = wp.abs(along(d, c, width, i - 1, 1, vertical) - along(d, c, width, i + 1, 1, vertical))
+    return (first + last) + wp.abs(along(d, c, width, i - 1, 0, vertical) - along(d, c, width, i + 1, 0, vertical))
 
 
 @wp.func
-def taps(d: PLANE, y: int, x: int, vertical: int):
+def taps(d: PLANE, c: int, width: int, vertical: int):
     """Return one axis's estimates of green - own by short and long taps, their weight, and its denominator."""
-    middle = step(d, y, x, 0, vertical)
-    before = EDGE + (((middle + step(d, y, x, -1, vertical)) + step(d, y, x, -2, vertical))
-                     + step(d, y, x, -3, vertical))
-    after = EDGE + (((middle + step(d, y, x, 1, vertical)) + step(d, y, x, 2, vertical))
-                    + step(d, y, x, 3, vertical))
+    middle = step(d, c, width, 0, vertical)
+    before = EDGE + ((middle + step(d, c, width, -1, vertical))
+                     + (step(d, c, width, -2, vertical) + step(d, c, width, -3, vertical)))
+    after = EDGE + ((middle + step(d, c, width, 1, vertical))
+                    + (step(d, c, width, 2, vertical) + step(d, c, width, 3, vertical)))
     before = wp.min(before, STEEP)
     after = wp.min(after, STEEP)
     before = before * before
     after = after * after
-    here = at(d, y, x)  # signs alternate with the colour
-    last = along(d, y, x, -1, 0, vertical)
-    following = along(d, y, x, 1, 0, vertical)
-    long_before = ((here - last) + along(d, y, x, -2, 0, vertical)) + (
-        along(d, y, x, -4, 0, vertical) - along(d, y, x, -3, 0, vertical))
-    long_after = ((here - following) + along(d, y, x, 2, 0, vertical)) + (
-        along(d, y, x, 4, 0, vertical) - along(d, y, x, 3, 0, vertical))
+    here = d[c]  # signs alternate with the colour
+    last = along(d, c, width, -1, 0, vertical)
+    following = along(d, c, width, 1, 0, vertical)
+    long_before = ((here - last) + along(d, c, width, -2, 0, vertical)) + (
+        along(d, c, width, -4, 0, vertical) - along(d, c, width, -3, 0, vertical))
+    long_after = ((here - following) + along(d, c, width, 2, 0, vertical)) + (
+        along(d, c, width, 4, 0, vertical) - along(d, c, width, 3, 0, vertical))
     return wp.vec4(after * (0.6 * here - 0.4 * last) + before * (0.6 * here - 0.4 * following),
                    0.2 * (after * long_before + before * long_after), before + after, before * after)
 
 
 @wp.func
-def ring(plane: PLANE, y: int, x: int, j: int, i: int):
+def ring(plane: PLANE, c: int, width: int, j: int, i: int):
     """Return the sum of the four pixels at (+-j, +-i)."""
-    return (at(plane, y - j, x - i) + at(plane, y + j, x + i)) + (at(plane, y - j, x + i) + at(plane, y + j, x - i))
+    return (plane[c - j * width - i] + plane[c + j * width + i]) + (plane[c - j * width + i] + plane[c + j * width - i])
 
 
 @wp.func
-def cross(plane: PLANE, y: int, x: int, n: int):
+def cross(plane: PLANE, c: int, width: int, n: int):
     """Return the sum of the four pixels n steps away along the axes."""
-    return (at(plane, y - n, x) + at(plane, y + n, x)) + (at(plane, y, x - n) + at(plane, y, x + n))
+    return (plane[c - n * width] + plane[c + n * width]) + (plane[c - n] + plane[c + n])
 
 
 @wp.func
@@ -139,161 +134,165 @@ def gain_of(product: float, square: float, sites: float, noise: float, prior: fl
 
 
 @wp.func
-def line(plane: PLANE, y: int, x: int, j: int, vertical: int):
-    return (along(plane, y, x, -3, j, vertical) + along(plane, y, x, 3, j, vertical)) + (
-        along(plane, y, x, -1, j, vertical) + along(plane, y, x, 1, j, vertical))
+def line(plane: PLANE, c: int, width: int, j: int, vertical: int):
+    return (along(plane, c, width, -3, j, vertical) + along(plane, c, width, 3, j, vertical)) + (
+        along(plane, c, width, -1, j, vertical) + along(plane, c, width, 1, j, vertical))
 
 
 @wp.func
-def sites_along(plane: PLANE, y: int, x: int, vertical: int):
-    return (line(plane, y, x, -2, vertical) + line(plane, y, x, 2, vertical)) + line(plane, y, x, 0, vertical)
+def sites_along(plane: PLANE, c: int, width: int, vertical: int):
+    return (line(plane, c, width, -2, vertical) + line(plane, c, width, 2, vertical)) + line(plane, c, width, 0, vertical)
 
 
 @wp.func
-def rest(plane: PLANE, green: PLANE, y: int, x: int, gain: float):
-    return at(plane, y, x) - gain * at(green, y, x)
+def rest(plane: PLANE, green: PLANE, c: int, gain: float):
+    return plane[c] - gain * green[c]
 
 
 @wp.func
-def axial_at(code: PLANE, other: PLANE, green: PLANE, square: PLANE, product: PLANE, y: int, x: int, vertical: int,
+def axial_at(code: PLANE, other: PLANE, green: PLANE, square: PLANE, product: PLANE, c: int, width: int, vertical: int,
              variance: float, shot: float, prior: float):
     """Return, at a green site, the colour that is measured along one axis, and was found across it."""
-    level = at(green, y, x)
+    level = green[c]
     noise = noise_of(level, variance, shot)
-    gain = gain_of(sites_along(product, y, x, vertical), sites_along(square, y, x, vertical), 12.0, noise, prior)
-    dy = vertical
-    dx = 1 - vertical
-    return gain * level + blend(rest(code, green, y - dy, x - dx, gain), rest(code, green, y + dy, x + dx, gain),
-                                rest(other, green, y - dx, x - dy, gain), rest(other, green, y + dx, x + dy, gain),
+    gain = gain_of(sites_along(product, c, width, vertical), sites_along(square, c, width, vertical), 12.0, noise, prior)
+    measured = wp.where(vertical == 1, width, 1)
+    found = width + 1 - measured
+    return gain * level + blend(rest(code, green, c - measured, gain), rest(code, green, c + measured, gain),
+                                rest(other, green, c - found, gain), rest(other, green, c + found, gain),
                                 ALIKE + 2.0 * wp.sqrt(noise))
 
 
 @wp.kernel
-def encode_all(raw: wp.array2d[wp.uint16], code: PLANE, low: int,
+def encode_all(raw: wp.array2d[wp.uint16], code: PLANE, low: int, width: int,
                black_level: float, scale: float, offset: float, variance: float, shot: float,
-               longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+               longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                rows: int, cols: int, root: int, noisy: int):
-    y, q = wp.tid()
-    row = mirror(y - MARGIN, rows)
-    for e in range(2):
-        number = float(raw[row, mirror(2 * q + e - MARGIN, cols)])
-        code[y, q + e * half] = encode((number - black_level) * scale + offset, root)
+    first, x = wp.tid()
+    for n in range(RUN):
+        y = RUN * first + n
+        number = float(raw[mirror(y - MARGIN, rows), mirror(x - MARGIN, cols)])
+        code[y * width + x] = encode((number - black_level) * scale + offset, root)
 
 
 @wp.kernel
-def differences(code: PLANE, across: PLANE, down: PLANE, low: int,
+def differences(code: PLANE, across: PLANE, down: PLANE, low: int, width: int,
                 black_level: float, scale: float, offset: float, variance: float, shot: float,
-                longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+                longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                 rows: int, cols: int, root: int, noisy: int):
-    i, j = wp.tid()
-    y = i + low
-    q = j + low / 2
-    for e in range(2):
-        across[y, q + e * half] = difference(code, y, 2 * q + e, 0, variance, shot, prior)
-        down[y, q + e * half] = difference(code, y, 2 * q + e, 1, variance, shot, prior)
+    first, j = wp.tid()
+    for n in range(RUN):
+        i = RUN * first + n
+        c = (i + low) * width + j + low
+        across[c] = difference(code, c, width, 0, variance, shot, prior)
+        down[c] = difference(code, c, width, 1, variance, shot, prior)
 
 
 @wp.kernel
-def greens(code: PLANE, across: PLANE, down: PLANE, green: PLANE, low: int,
+def greens(code: PLANE, across: PLANE, down: PLANE, green: PLANE, low: int, width: int,
            black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    i, j = wp.tid()
-    y = i + low
-    q = j + low / 2
-    own = first_own(y - MARGIN, red_row, red_col)
-    x = 2 * q + own
-    here = at(code, y, x)
-    axial = cross(code, y, x, 1)
-    h = taps(across, y, x, 0)
-    v = taps(down, y, x, 1)
-    share = 1.0 / (h[2] * v[3] + v[2] * h[3])
-    short_taps = (h[0] * v[3] + v[0] * h[3]) * share
-    long_taps = (h[1] * v[3] + v[1] * h[3]) * share
-    level = 0.25 * here + 0.125 * axial + 0.0625 * ring(code, y, x, 1, 1)
-    alike = COLORED * (wp.max(level, 0.0) + DARK)
-    alike = alike * alike
-    apart = long_taps * long_taps
-    alpha = (longest * alike + shortest * apart) / (alike + apart)
-    value = here + (short_taps + alpha * (long_taps - short_taps))
-    if noisy == 1:
-        value = draw(value, 0.25 * axial, noise_of(0.25 * axial, variance, shot), 0.0, 4.0)
-    green[y, q + own * half] = value
-    x = 2 * q + 1 - own
-    value = at(code, y, x)
-    if noisy == 1:
-        mean = 0.25 * ring(code, y, x, 1, 1)
-        value = draw(value, mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH)
-    green[y, q + (1 - own) * half] = value
+    first, j = wp.tid()
+    for n in range(RUN):
+        i = RUN * first + n
+        y = i + low
+        own = first_own(y - MARGIN, red_row, red_col)
+        c = y * width + low + 2 * j + own
+        here = code[c]
+        axial = cross(code, c, width, 1)
+        h = taps(across, c, width, 0)
+        v = taps(down, c, width, 1)
+        share = 1.0 / (h[2] * v[3] + v[2] * h[3])
+        short_taps = (h[0] * v[3] + v[0] * h[3]) * share
+        long_taps = (h[1] * v[3] + v[1] * h[3]) * share
+        level = 0.25 * here + 0.125 * axial + 0.0625 * ring(code, c, width, 1, 1)
+        alike = COLORED * (wp.max(level, 0.0) + DARK)
+        alike = alike * alike
+        apart = long_taps * long_taps
+        alpha = (longest * alike + shortest * apart) / (alike + apart)
+        value = here + (short_taps + alpha * (long_taps - short_taps))
+        if noisy == 1:
+            value = draw(value, 0.25 * axial, noise_of(0.25 * axial, variance, shot), 0.0, 4.0)
+        green[c] = value
+        c += 1 - 2 * own
+        value = code[c]
+        if noisy == 1:
+            mean = 0.25 * ring(code, c, width, 1, 1)
+            value = draw(value, mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH)
+        green[c] = value
 
 
 @wp.kernel
-def slopes(code: PLANE, green: PLANE, square: PLANE, product: PLANE, low: int,
+def slopes(code: PLANE, green: PLANE, square: PLANE, product: PLANE, low: int, width: int,
            black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    i, j = wp.tid()
-    y = i + low
-    q = j + low / 2
-    own = first_own(y - MARGIN, red_row, red_col)
-    x = 2 * q + own
-    green_h = own_bend(green, y, x, 0, 0)
-    green_v = own_bend(green, y, x, 0, 1)
-    square[y, q + own * half] = green_h * green_h + green_v * green_v
-    product[y, q + own * half] = green_h * own_bend(code, y, x, 0, 0) + green_v * own_bend(code, y, x, 0, 1)
+    first, j = wp.tid()
+    for n in range(RUN):
+        i = RUN * first + n
+        y = i + low
+        own = first_own(y - MARGIN, red_row, red_col)
+        c = y * width + low + 2 * j + own
+        green_h = own_bend(green, c, width, 0, 0)
+        green_v = own_bend(green, c, width, 0, 1)
+        square[c] = green_h * green_h + green_v * green_v
+        product[c] = green_h * own_bend(code, c, width, 0, 0) + green_v * own_bend(code, c, width, 0, 1)
 
 
 @wp.kernel
-def diagonals(code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: PLANE, low: int,
+def diagonals(code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: PLANE, low: int, width: int,
               black_level: float, scale: float, offset: float, variance: float, shot: float,
-              longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+              longest: float, shortest: float, prior: float, red_row: int, red_col: int,
               rows: int, cols: int, root: int, noisy: int):
-    i, j = wp.tid()
-    y = i + low
-    q = j + low / 2
-    own = first_own(y - MARGIN, red_row, red_col)
-    x = 2 * q + own
-    level = at(green, y, x)
-    noise = noise_of(level, variance, shot)
-    gain = gain_of(
-        (ring(product, y, x, 1, 1) + ring(product, y, x, 3, 3)) + (ring(product, y, x, 1, 3)
-                                                                   + ring(product, y, x, 3, 1)),
-        (ring(square, y, x, 1, 1) + ring(square, y, x, 3, 3)) + (ring(square, y, x, 1, 3) + ring(square, y, x, 3, 1)),
-        16.0, noise, prior)
-    other[y, q + own * half] = gain * level + blend(
-        rest(code, green, y - 1, x - 1, gain), rest(code, green, y + 1, x + 1, gain),
-        rest(code, green, y - 1, x + 1, gain), rest(code, green, y + 1, x - 1, gain), ALIKE + 2.0 * wp.sqrt(noise))
+    first, j = wp.tid()
+    for n in range(RUN):
+        i = RUN * first + n
+        y = i + low
+        own = first_own(y - MARGIN, red_row, red_col)
+        c = y * width + low + 2 * j + own
+        level = green[c]
+        noise = noise_of(level, variance, shot)
+        gain = gain_of(
+            (ring(product, c, width, 1, 1) + ring(product, c, width, 3, 3)) + (ring(product, c, width, 1, 3)
+                                                                       + ring(product, c, width, 3, 1)),
+            (ring(square, c, width, 1, 1) + ring(square, c, width, 3, 3)) + (ring(square, c, width, 1, 3) + ring(square, c, width, 3, 1)),
+            16.0, noise, prior)
+        other[c] = gain * level + blend(
+            rest(code, green, c - width - 1, gain), rest(code, green, c + width + 1, gain),
+            rest(code, green, c - width + 1, gain), rest(code, green, c + width - 1, gain), ALIKE + 2.0 * wp.sqrt(noise))
 
 
 @wp.kernel
 def colors(raw: wp.array2d[wp.uint16], code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: PLANE,
-           rgb: wp.array3d[float], low: int,
+           rgb: wp.array3d[float], low: int, width: int,
            black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int, half: int,
+           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    row, pair = wp.tid()
-    y = row + low
-    first = own_plane(row, red_row)
-    own = first_own(row, red_row, red_col)
-    column = 2 * pair + own
-    x = column + low
-    if column < cols:
-        value = (float(raw[row, column]) - black_level) * scale  # exactly what was measured, not a squared root
-        if noisy == 1:
-            mean = 0.25 * cross(code, y, x, 2)
-            value = decode(draw(at(code, y, x), mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH),
-                           offset, variance, root)
-        rgb[first, row, column] = value
-        rgb[1, row, column] = decode(at(green, y, x), offset, variance, root)
-        rgb[2 - first, row, column] = decode(at(other, y, x), offset, variance, root)
-    column = 2 * pair + 1 - own
-    x = column + low
-    if column < cols:
-        value = (float(raw[row, column]) - black_level) * scale
-        if noisy == 1:
-            value = decode(at(green, y, x), offset, variance, root)
-        measured_along = axial_at(code, other, green, square, product, y, x, 0, variance, shot, prior)
-        measured_across = axial_at(code, other, green, square, product, y, x, 1, variance, shot, prior)
-        rgb[first, row, column] = decode(measured_along, offset, variance, root)
-        rgb[1, row, column] = value
-        rgb[2 - first, row, column] = decode(measured_across, offset, variance, root)
+    start, pair = wp.tid()
+    for n in range(RUN):
+        row = wp.min(RUN * start + n, rows - 1)
+        first = own_plane(row, red_row)
+        own = first_own(row, red_row, red_col)
+        column = 2 * pair + own
+        c = (row + low) * width + column + low
+        if column < cols:
+            value = (float(raw[row, column]) - black_level) * scale  # exactly what was measured, not a squared root
+            if noisy == 1:
+                mean = 0.25 * cross(code, c, width, 2)
+                value = decode(draw(code[c], mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH),
+                               offset, variance, root)
+            rgb[first, row, column] = value
+            rgb[1, row, column] = decode(green[c], offset, variance, root)
+            rgb[2 - first, row, column] = decode(other[c], offset, variance, root)
+        column = 2 * pair + 1 - own
+        c = (row + low) * width + column + low
+        if column < cols:
+            value = (float(raw[row, column]) - black_level) * scale
+            if noisy == 1:
+                value = decode(green[c], offset, variance, root)
+            measured_along = axial_at(code, other, green, square, product, c, width, 0, variance, shot, prior)
+            measured_across = axial_at(code, other, green, square, product, c, width, 1, variance, shot, prior)
+            rgb[first, row, column] = decode(measured_along, offset, variance, root)
+            rgb[1, row, column] = value
+            rgb[2 - first, row, column] = decode(measured_across, offset, variance, root)

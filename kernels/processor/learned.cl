@@ -1,54 +1,21 @@
-// Three passes. `encode` writes the codes with what is around the frame, so that nobody asks for borders any more, REACH
+// CPUs' three passes; GPUs have learned_tiles.cl. `encode` writes the codes with what is around the frame, so that nobody asks for borders any more, REACH
 // pixels on every side. `classify` finds the row of the table that each pixel takes, `apply` the planes.
 // From the host: ROOT; lists of constants, one F(..) each: DOWN, ALONG (offset, weight) of the contrast, DOWN_DETAIL,
 // ALONG_DETAIL, TAPS (group, row, column); numbers of things: SPAN (rows and columns of the box), BOUNDS, RATIOS,
 // SHARES, LEVELS, TERMS (groups, up to whole vectors), COMPUTED (planes by filters; KEPT is 1 if one more is the sample).
 // No contraction: a mirrored mosaic then gives the mirrored picture bit for bit.
 #pragma OPENCL FP_CONTRACT OFF
+#define LANES 8  // pixels of a vector
 #include "bayer.clh"
+#include "learned.clh"
 
-#define GRAIN 4096.0f
-#define STEPS 256.0f
-
-// The pixel that stands for pixel i: mirrored where that keeps the colour, else a whole number of periods away.
-inline int outside(const int i, const int n, const int period)
-{
-    if (i >= 0 && i < n) return i;
-    if (period <= 2) return mirror(i, n);
-    return i < 0 ? (i % period + period) % period : n - period + (i - n) % period;
-}
-
-#if LANES == 8
-typedef int8 whole;
-typedef float8 real;
 #define LOAD(from) vload8(0, from)
 #define STORE(value, to) vstore8(value, 0, to)
 #define TO_REAL convert_float8
 #define TO_WHOLE convert_int8
 #define FIRST_LANES ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
-#define COUNT(condition) (-(condition))  // true is -1 in vectors
-#else
-typedef int whole;
-typedef float real;
-#define LOAD(from) (*(from))
-#define STORE(value, to) (*(to) = (value))
-#define TO_REAL (float)
-#define TO_WHOLE (int)
-#define FIRST_LANES 0
-#define COUNT(condition) (condition)
-#endif
 
-inline real code(const real number, const float shift, const float zero)
-{
-#if ROOT
-    const real shifted = number + shift;
-    return floor((copysign(sqrt(fabs(shifted)), shifted) - zero) * GRAIN + 0.5f) * (1.0f / GRAIN);
-#else
-    return number;
-#endif
-}
-
-// A GPU's work-item does a pixel, a CPU's a row.
+// A work-item does a row.
 __kernel void encode(
     // in:
     __global const ushort *restrict raw,  // [rows][cols]
@@ -60,30 +27,22 @@ __kernel void encode(
     const int period_y, const int period_x, const int rows, const int cols, const int stride)
 {
     const int y = get_global_id(1);
-    GUARD(get_global_id(0) >= stride || y >= rows + 2 * REACH)
     __global const ushort *from = raw + (size_t)outside(y - REACH, rows, period_y) * cols;
     __global float *to = codes + (size_t)y * stride;
-#if LANES == 8
     for (int x = 0; x + 8 <= cols; x += 8) vstore8(code(convert_float8(vload8(0, from + x)), shift, zero), 0, to + x + REACH);
     for (int x = 0; x < stride; ++x) {
         if (x == REACH) x += cols / 8 * 8;
         to[x] = code((float8)from[outside(min(x - REACH, cols + REACH - 1), cols, period_x)], shift, zero).s0;
     }
-#else
-    const int x = get_global_id(0);
-    to[x] = code(from[outside(min(x - REACH, cols + REACH - 1), cols, period_x)], shift, zero);
-#endif
 }
 
 // Sums over the box are taken down the columns first, by lanes that do ROWS rows of their column each, and then along
-// the rows, through local memory. A GPU's work-item is one lane, a CPU's does a strip, LANES columns at a time.
+// the rows. A work-item does a strip, LANES columns at a time.
 #if ROOT
 #define WHOLE(value) TO_WHOLE(floor((value) * STEPS + 0.5f))
 #else
 #define WHOLE(value) TO_WHOLE(value)
 #endif
-#define KINDS (2 + 2 * (SHARES > 0) + (LEVELS > 1))
-#define BOX (SPAN / 2)
 
 // Contrasts and details of one row at one column, or LANES. Their sums are exact: multiples of 1 / GRAIN below 2^12.
 inline void features(__global const float *restrict at, const int stride, whole *restrict found)
@@ -126,18 +85,15 @@ __kernel void classify(
     // sizes:
     const int period_y, const int period_x, const int rows, const int cols, const int stride)
 {
-    __local int sums[KINDS][ROWS][STRIP + SPAN - 1 + 2 * LANES];
+    int sums[KINDS][ROWS][STRIP + SPAN - 1 + 2 * LANES];
     const int left = get_group_id(0) * STRIP, top = get_group_id(1) * ROWS;
-    for (int u = get_local_id(0) * LANES; u < STRIP + SPAN - 1; u += get_local_size(0) * LANES) {
+    for (int u = 0; u < STRIP + SPAN - 1; u += LANES) {
         // beyond the frame's own surroundings nothing is asked for: anything may be read there
         __global const float *at = codes + (size_t)(top + REACH - BOX) * stride
                                    + min(left + REACH - BOX + u, cols + REACH + BOX - 1);
         whole run[KINDS], history[SPAN][KINDS];
 #pragma unroll
         for (int k = 0; k < KINDS; ++k) run[k] = 0;
-#if LANES == 1  // so that all indices are known and the history is in registers; CPUs have memory at hand
-#pragma unroll
-#endif
         for (int r = 0; r < ROWS + SPAN - 1; ++r) {
             whole now[KINDS];
             features(at + (size_t)min(r, rows - 1 - top + SPAN - 1) * stride, stride, now);
@@ -150,8 +106,7 @@ __kernel void classify(
             }
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int u = get_local_id(0) * LANES; u < STRIP && left + u < cols; u += get_local_size(0) * LANES) {
+    for (int u = 0; u < STRIP && left + u < cols; u += LANES) {
         const int x = left + u;
         const whole column = (x + shift_x + FIRST_LANES) % period_x;
         for (int r = 0; r < ROWS && top + r < rows; ++r) {
@@ -163,25 +118,8 @@ __kernel void classify(
 #pragma unroll
                 for (int i = 0; i < SPAN; ++i) total[k] += LOAD(&sums[k][r][u + i]);
             }
-            whole direction = RATIOS, kind = 0;
-#pragma unroll
-            for (int i = 0; i < RATIOS; ++i) {
-                const int ratio = limits[BOUNDS + i], more = (ratio - 8) * least;
-                direction += COUNT(8 * total[1] > ratio * total[0] + more) - COUNT(8 * total[0] > ratio * total[1] + more);
-            }
-#pragma unroll
-            for (int i = 0; i < BOUNDS; ++i) kind += COUNT(total[0] + total[1] > limits[i]);
-#if SHARES
-            const whole contrast = min(total[0], total[1]), detail = min(total[2], total[3]);
-            kind *= SHARES + 1;
-#pragma unroll
-            for (int i = 0; i < SHARES; ++i) {
-                const int ratio = limits[BOUNDS + RATIOS + i];
-                kind += COUNT(8 * contrast > ratio * detail + (ratio - 8) * least);
-            }
-#endif
             const whole position = (y + shift_y) % period_y * period_x + column;
-            const whole unit = (position * (2 * RATIOS + 1) + direction) * ((BOUNDS + 1) * (SHARES + 1)) + kind;
+            const whole unit = position * CLASSES + class_of(total, limits, least);
             const size_t to = (size_t)y * cols + x;
 #if LEVELS > 1
             const real level = TO_REAL(total[KINDS - 1]) * level_scale - level_zero;
@@ -190,7 +128,6 @@ __kernel void classify(
             for (int i = 1; i < LEVELS; ++i)
                 at += clamp((level - knots[i - 1]) / (knots[i] - knots[i - 1]), 0.0f, 1.0f);
 #endif
-#if LANES == 8
             if (x + 8 > cols) {
                 for (int lane = 0; lane < cols - x; ++lane) {
                     units[to + lane] = ((int *)&unit)[lane];
@@ -201,9 +138,6 @@ __kernel void classify(
                 continue;
             }
             vstore8(convert_ushort8(unit), 0, units + to);
-#else
-            units[to] = unit;
-#endif
 #if LEVELS > 1
             STORE(at, levels + to);
 #endif
@@ -211,7 +145,6 @@ __kernel void classify(
     }
 }
 
-#if LANES == 8
 // Rows of a square of 8 x 8 into its columns, by three perfect shuffles.
 inline void transpose(float8 *square)
 {
@@ -245,19 +178,6 @@ inline float8 outputs(__global const float *restrict weights, const size_t *rows
     transpose(parts);
     return ((parts[0] + parts[1]) + (parts[2] + parts[3])) + ((parts[4] + parts[5]) + (parts[6] + parts[7]));
 }
-#else
-inline float outputs(__global const float *restrict weights, const size_t *rows, const int o, const float *sums)
-{
-    float result = 0.0f;
-    __global const float *row = weights + *rows + o * TERMS;
-#pragma unroll
-    for (int g = 0; g < TERMS; g += 4) {
-        const float4 weight = vload4(0, row + g);
-        result += (weight.x * sums[g] + weight.y * sums[g + 1]) + (weight.z * sums[g + 2] + weight.w * sums[g + 3]);
-    }
-    return result;
-}
-#endif
 
 __kernel void apply(
     // in:
@@ -275,35 +195,18 @@ __kernel void apply(
     const int rows, const int cols, const int stride)
 {
     const size_t pixels = (size_t)rows * cols;
-    const int top = get_global_id(1) * RUN, end = min(top + RUN, rows);
-#if LANES == 8
-    for (int y = top; y < end; ++y) for (int block = 0; block < cols; block += 8) {
+    const int y = get_global_id(1);
+    for (int block = 0; block < cols; block += 8) {
         const int x = max(0, min(block, cols - 8)), lanes = min(8, cols);  // the last overlaps the one before it
         real sums[TERMS];
-#else
-    const int x = get_global_id(0), lanes = 1;
-    GUARD(x >= cols || top >= rows)
-    real run[RUN][TERMS];  // of all rows, whose windows overlap, before anything is stored
-#pragma unroll
-    for (int y = top; y < top + RUN; ++y) {
-        real *sums = run[y - top];
-#endif
-        __global const float *at = codes + (size_t)(min(y, rows - 1) + REACH) * stride + REACH + x;
+        __global const float *at = codes + (size_t)(y + REACH) * stride + REACH + x;
 #pragma unroll
         for (int g = 0; g < TERMS; ++g) sums[g] = g == CONSTANT ? 1.0f : 0.0f;
 #define F(group, dy, dx) sums[group] += LOAD(at + (dy) * stride + (dx));
         TAPS
 #undef F
-#if LANES == 8
 #pragma unroll
         for (int g = 0; g < TERMS; g += 8) transpose(sums + g);
-#else
-    }
-#pragma unroll
-    for (int y = top; y < top + RUN; ++y) {
-        if (y >= rows) continue;
-        const real *sums = run[y - top];
-#endif
         const size_t pixel = (size_t)y * cols + x;
         size_t from[LANES];
         int own[LANES];
@@ -338,15 +241,9 @@ __kernel void apply(
             found[o] = code * scale;
         }
 #if KEPT
-#if LANES == 8
         float8 numbers;
         for (int i = 0; i < lanes; ++i) ((float *)&numbers)[i] = raw[pixel + i];
-#else
-        const float numbers = raw[pixel];
-#endif
         found[COMPUTED] = (numbers - black_level) * scale;
-#endif
-#if LANES == 8 && KEPT
         float turned[COMPUTED + 1][8];
 #pragma unroll
         for (int o = 0; o <= COMPUTED; ++o)
@@ -357,13 +254,9 @@ __kernel void apply(
 #endif
 #pragma unroll
         for (int o = 0; o < COMPUTED + KEPT; ++o) {
-#if LANES == 8
             __global float *to = out + o * pixels + pixel;
             if (lanes == 8) vstore8(found[o], 0, to);
             else for (int i = 0; i < lanes; ++i) to[i] = ((float *)&found[o])[i];
-#else
-            out[planes[*own + o] * pixels + pixel] = found[o];
-#endif
         }
     }
 }

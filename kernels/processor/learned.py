@@ -15,7 +15,9 @@ from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.stage import Case, stage
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
-LANES = 128  # work-items of a GPU's group that sum the columns of a strip
+TILES = "processor.learned_tiles"  # the kernel of GPUs
+LOCAL = 48 * 1024  # bytes that any GPU's group may have
+
 
 @stage
 def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None):
@@ -45,46 +47,56 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     if rows < least[0] or cols < least[1]:
         raise BadData(f"raw: {rows}x{cols} pixels; with a mosaic of {layout.period[0]}x{layout.period[1]} at least "
                       f"{least[0]}x{least[1]} are wanted")
-    gpu, opencl = device.is_gpu, device.kind == "opencl"
     prepared = _prepared(device, table, code)
-    reach, root, levels = prepared.reach, int(code.domain == "root"), len(layout.levels)
-    stride = -(-(cols + 2 * reach + 8) // 16) * 16
-    run = 4 if layout.shape[-1] < 16 and gpu else 1
-    strip, high = (LANES - 2 * layout.box, 8) if gpu else (128, 16)
-    defines = prepared.defines | {"LANES": 1 if gpu else 8, "RUN": run, "STRIP": strip, "ROWS": high}
     zero, pixels = float(np.sqrt(code.offset)), (2 * layout.box + 1) ** 2
     unit = STEPS[code.domain] * code.white * pixels
-    black = 0.0 if root else float(np.ceil(code.black_level - 0.5))  # what whole codes are counted from
-
+    from_black = float(code.offset - code.black_level), zero
+    decoding = zero, float(code.offset), float(scale), code.black_level
+    black = 0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))  # where whole codes start
+    measures = prepared.least, float(1 / unit), float(black * pixels / unit)
     raw = device.array(raw, np.uint16)
+    out = device.empty((len(layout.outputs), rows, cols))
+    (_tiles if device.is_gpu else _passes)(device, prepared, layout, raw, out, measures, from_black, decoding, shift)
+    return out
+
+
+def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
+    """One pass over tiles, on GPUs."""
+    rows, cols = raw.shape
+    span, (period_y, period_x) = 2 * layout.box + 1, layout.period
+    high = span + 1  # low tiles: the more groups at a time the better, though they compute more of their rims twice
+    run = 2 if high % 2 == 0 and prepared.terms == 16 else 1
+    terms = max(5 * span, 21 + 4 * len(layout.outputs))
+    wide = 2 * prepared.reach
+    items = next(n for n in (128, 64, 32) if 4 * ((high + wide) * (n + wide) + n * (terms + 2 * high)) <= LOCAL)
+    strip = (items - 2 * layout.box) // 8 * 8
+    across, down = -(-cols // strip), -(-rows // high)
+    defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run, "PERIOD_Y": period_y, "PERIOD_X": period_x}
+    device.launch(TILES, "learned_tiles", (across * down * items,), raw, prepared.limits,
+                  prepared.knots, prepared.weights, prepared.planes, out, *measures, *from_black, *decoding[1:], *shift,
+                  rows, cols, across, defines=prepared.defines | defines, group=(items,))
+
+
+def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
+    """Three passes over the frame, on CPUs: `encode`, `classify`, `apply`."""
+    rows, cols = raw.shape
+    reach, opencl, root = prepared.reach, device.kind == "opencl", prepared.defines["ROOT"]
+    stride = -(-(cols + 2 * reach + 8) // 16) * 16
     codes = device.empty((rows + 2 * reach, stride))
     units = device.empty((rows, cols), np.uint16)
-    between = device.empty((rows, cols) if levels > 1 else (1, 1))
-    out = device.empty((len(layout.outputs), rows, cols))
-    by_rows = opencl and not gpu
-    device.launch("processor.learned", "encode", (codes.shape[0], 1) if by_rows else codes.shape, raw, codes,
-                  float(code.offset - code.black_level), zero, *layout.period, rows, cols, stride,
-                  *(() if opencl else (reach, root)), defines=defines, group=(1, 1) if by_rows else None)
-    if opencl:
-        grid = -(-rows // high), -(-cols // strip) * (LANES if gpu else 1)
-        group, rest = (1, LANES if gpu else 1), ()
-    else:
-        along = 8 if gpu else 64
-        grid, group = (rows, -(-cols // along)), None
-        rest = (prepared.filters, reach, layout.box, root, layout.strengths.shape[1], len(layout.ratios),
-                len(layout.shares), along)
-    device.launch("processor.learned", "classify", grid, codes, prepared.limits, prepared.knots, units, between,
-                  prepared.least, float(1 / unit), float(black * pixels / unit), *shift, *layout.period, rows, cols,
-                  stride, *rest, defines=defines, group=group)
-    if opencl:
-        grid, group, rest = (-(-rows // run), cols if gpu else 1), None if gpu else (1, 1), ()
-    else:
-        grid, group = (rows, cols), None
-        rest = prepared.taps, reach, root, layout.classes, layout.shape[-1]
-    device.launch("processor.learned", "apply", grid, raw, codes, units, between, prepared.weights, prepared.planes,
-                  out, zero, float(code.offset), float(scale), code.black_level, rows, cols, stride, *rest,
-                  defines=defines, group=group)
-    return out
+    levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
+    launch = functools.partial(device.launch, "processor.learned", group=(1, 1) if opencl else None,
+                               defines=prepared.defines | {"STRIP": 128, "ROWS": 16})
+    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, raw, codes, *from_black, *layout.period, rows,
+           cols, stride, *(() if opencl else (reach, root)))
+    along, high = (128, 16) if opencl else (64, 1)
+    rest = () if opencl else (prepared.filters, reach, layout.box, root, layout.strengths.shape[1], len(layout.ratios),
+                              len(layout.shares), along)
+    launch("classify", (-(-rows // high), -(-cols // along)), codes, prepared.limits, prepared.knots, units, levels,
+           *measures, *shift, *layout.period, rows, cols, stride, *rest)
+    rest = () if opencl else (prepared.taps, reach, root, layout.classes, layout.shape[-1])
+    launch("apply", (rows, 1 if opencl else cols), raw, codes, units, levels, prepared.weights, prepared.planes, out,
+           *decoding, rows, cols, stride, *rest)
 
 
 class _Prepared:
@@ -107,7 +119,8 @@ class _Prepared:
         contrasts = [*layout.contrast, *(layout.detail or ())]
         self.reach = max(int(abs(layout.taps).max()), max(map(len, contrasts)) // 2 + layout.box)
         levels, positions, classes, outputs, groups = filters.shape
-        terms = -(-(groups + 1) // 8) * 8
+        whole = 16 if device.is_gpu else 8
+        self.terms = terms = -(-(groups + 1) // whole) * whole
         weights = np.zeros((*filters.shape[:-1], terms), np.float32)
         weights[..., :groups] = filters
         constant = 0.0 if offsets is None else offsets * code.white

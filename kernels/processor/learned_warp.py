@@ -1,4 +1,7 @@
-"""Three passes as in learned.cl; contrasts and taps are lists of the host. `classify` goes along a run of columns."""
+"""Three passes as in learned.cl, for CPUs; contrasts and taps are lists of the host.
+
+`classify` goes along a run of columns.
+"""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
