@@ -19,7 +19,6 @@ PLANES = 9  # of a strip's scratch
 # A GPU's tile: rows (HIGH, HIGH + 8: multiples of 2 RUN; HIGH + 2: of 2 RUN_DIAGONALS), pairs of columns, work-items of
 # its group, rows that one of them takes.
 TILE = {"HIGH": 16, "PAIRS": 64, "GROUP": 256, "RUN": 4, "RUN_DIAGONALS": 3}
-RUN = 4  # rows of a thread in Warp
 ROOM = 128  # of planes around the picture, for whole tiles
 
 
@@ -78,9 +77,9 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
         defines |= {"WIDTH": 1, **TILE}
     else:
         width = 2 * (columns + MARGIN)
-        code, across, down, green, square, product, other = (device.empty(((rows + 2 * MARGIN + RUN) * width,))
+        code, across, down, green, square, product, other = (device.empty(((rows + 2 * MARGIN) * width,))
                                                              for _ in range(7))
-        steps = [(kernel, (-(-(rows + 2 * (MARGIN - low)) // RUN), (width - 2 * low) // sites), None, (*planes, low, width))
+        steps = [(kernel, (rows + 2 * (MARGIN - low), (width - 2 * low) // sites), None, (*planes, low, width))
                  for kernel, low, sites, planes in (
                      ("encode_all", 0, 1, (raw, code)), ("differences", 4, 1, (code, across, down)),
                      ("greens", 8, 2, (code, across, down, green)),

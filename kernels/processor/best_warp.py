@@ -8,7 +8,6 @@ from gpusim.kernels.common.bayer_warp import first_own, mirror, own_plane
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})  # mirrored mosaic, mirrored picture
 
 MARGIN = wp.constant(14)
-RUN = 4  # rows of a thread: what starts one costs as much as a pixel
 EDGE = wp.constant(5.0 / 255.0)
 STEEP = wp.constant(1.0e4)
 DARK = wp.constant(10.0 / 255.0)
@@ -122,6 +121,13 @@ def ring(plane: PLANE, c: int, width: int, j: int, i: int):
 
 
 @wp.func
+def sites_around(plane: PLANE, c: int, width: int):
+    """Return the sum of the 16 pixels 1 or 3 rows and 1 or 3 columns away."""
+    return (ring(plane, c, width, 1, 1) + ring(plane, c, width, 3, 3)) + (
+        ring(plane, c, width, 1, 3) + ring(plane, c, width, 3, 1))
+
+
+@wp.func
 def cross(plane: PLANE, c: int, width: int, n: int):
     """Return the sum of the four pixels n steps away along the axes."""
     return (plane[c - n * width] + plane[c + n * width]) + (plane[c - n] + plane[c + n])
@@ -141,7 +147,8 @@ def line(plane: PLANE, c: int, width: int, j: int, vertical: int):
 
 @wp.func
 def sites_along(plane: PLANE, c: int, width: int, vertical: int):
-    return (line(plane, c, width, -2, vertical) + line(plane, c, width, 2, vertical)) + line(plane, c, width, 0, vertical)
+    sides = line(plane, c, width, -2, vertical) + line(plane, c, width, 2, vertical)
+    return sides + line(plane, c, width, 0, vertical)
 
 
 @wp.func
@@ -155,7 +162,8 @@ def axial_at(code: PLANE, other: PLANE, green: PLANE, square: PLANE, product: PL
     """Return, at a green site, the colour that is measured along one axis, and was found across it."""
     level = green[c]
     noise = noise_of(level, variance, shot)
-    gain = gain_of(sites_along(product, c, width, vertical), sites_along(square, c, width, vertical), 12.0, noise, prior)
+    gain = gain_of(sites_along(product, c, width, vertical), sites_along(square, c, width, vertical), 12.0, noise,
+                   prior)
     measured = wp.where(vertical == 1, width, 1)
     found = width + 1 - measured
     return gain * level + blend(rest(code, green, c - measured, gain), rest(code, green, c + measured, gain),
@@ -168,11 +176,9 @@ def encode_all(raw: wp.array2d[wp.uint16], code: PLANE, low: int, width: int,
                black_level: float, scale: float, offset: float, variance: float, shot: float,
                longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                rows: int, cols: int, root: int, noisy: int):
-    first, x = wp.tid()
-    for n in range(RUN):
-        y = RUN * first + n
-        number = float(raw[mirror(y - MARGIN, rows), mirror(x - MARGIN, cols)])
-        code[y * width + x] = encode((number - black_level) * scale + offset, root)
+    y, x = wp.tid()
+    number = float(raw[mirror(y - MARGIN, rows), mirror(x - MARGIN, cols)])
+    code[y * width + x] = encode((number - black_level) * scale + offset, root)
 
 
 @wp.kernel
@@ -180,12 +186,10 @@ def differences(code: PLANE, across: PLANE, down: PLANE, low: int, width: int,
                 black_level: float, scale: float, offset: float, variance: float, shot: float,
                 longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                 rows: int, cols: int, root: int, noisy: int):
-    first, j = wp.tid()
-    for n in range(RUN):
-        i = RUN * first + n
-        c = (i + low) * width + j + low
-        across[c] = difference(code, c, width, 0, variance, shot, prior)
-        down[c] = difference(code, c, width, 1, variance, shot, prior)
+    i, j = wp.tid()
+    c = (i + low) * width + j + low
+    across[c] = difference(code, c, width, 0, variance, shot, prior)
+    down[c] = difference(code, c, width, 1, variance, shot, prior)
 
 
 @wp.kernel
@@ -193,34 +197,32 @@ def greens(code: PLANE, across: PLANE, down: PLANE, green: PLANE, low: int, widt
            black_level: float, scale: float, offset: float, variance: float, shot: float,
            longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    first, j = wp.tid()
-    for n in range(RUN):
-        i = RUN * first + n
-        y = i + low
-        own = first_own(y - MARGIN, red_row, red_col)
-        c = y * width + low + 2 * j + own
-        here = code[c]
-        axial = cross(code, c, width, 1)
-        h = taps(across, c, width, 0)
-        v = taps(down, c, width, 1)
-        share = 1.0 / (h[2] * v[3] + v[2] * h[3])
-        short_taps = (h[0] * v[3] + v[0] * h[3]) * share
-        long_taps = (h[1] * v[3] + v[1] * h[3]) * share
-        level = 0.25 * here + 0.125 * axial + 0.0625 * ring(code, c, width, 1, 1)
-        alike = COLORED * (wp.max(level, 0.0) + DARK)
-        alike = alike * alike
-        apart = long_taps * long_taps
-        alpha = (longest * alike + shortest * apart) / (alike + apart)
-        value = here + (short_taps + alpha * (long_taps - short_taps))
-        if noisy == 1:
-            value = draw(value, 0.25 * axial, noise_of(0.25 * axial, variance, shot), 0.0, 4.0)
-        green[c] = value
-        c += 1 - 2 * own
-        value = code[c]
-        if noisy == 1:
-            mean = 0.25 * ring(code, c, width, 1, 1)
-            value = draw(value, mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH)
-        green[c] = value
+    i, j = wp.tid()
+    y = i + low
+    own = first_own(y - MARGIN, red_row, red_col)
+    c = y * width + low + 2 * j + own
+    here = code[c]
+    axial = cross(code, c, width, 1)
+    h = taps(across, c, width, 0)
+    v = taps(down, c, width, 1)
+    share = 1.0 / (h[2] * v[3] + v[2] * h[3])
+    short_taps = (h[0] * v[3] + v[0] * h[3]) * share
+    long_taps = (h[1] * v[3] + v[1] * h[3]) * share
+    level = 0.25 * here + 0.125 * axial + 0.0625 * ring(code, c, width, 1, 1)
+    alike = COLORED * (wp.max(level, 0.0) + DARK)
+    alike = alike * alike
+    apart = long_taps * long_taps
+    alpha = (longest * alike + shortest * apart) / (alike + apart)
+    value = here + (short_taps + alpha * (long_taps - short_taps))
+    if noisy == 1:
+        value = draw(value, 0.25 * axial, noise_of(0.25 * axial, variance, shot), 0.0, 4.0)
+    green[c] = value
+    c += 1 - 2 * own
+    value = code[c]
+    if noisy == 1:
+        mean = 0.25 * ring(code, c, width, 1, 1)
+        value = draw(value, mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH)
+    green[c] = value
 
 
 @wp.kernel
@@ -228,16 +230,14 @@ def slopes(code: PLANE, green: PLANE, square: PLANE, product: PLANE, low: int, w
            black_level: float, scale: float, offset: float, variance: float, shot: float,
            longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    first, j = wp.tid()
-    for n in range(RUN):
-        i = RUN * first + n
-        y = i + low
-        own = first_own(y - MARGIN, red_row, red_col)
-        c = y * width + low + 2 * j + own
-        green_h = own_bend(green, c, width, 0, 0)
-        green_v = own_bend(green, c, width, 0, 1)
-        square[c] = green_h * green_h + green_v * green_v
-        product[c] = green_h * own_bend(code, c, width, 0, 0) + green_v * own_bend(code, c, width, 0, 1)
+    i, j = wp.tid()
+    y = i + low
+    own = first_own(y - MARGIN, red_row, red_col)
+    c = y * width + low + 2 * j + own
+    green_h = own_bend(green, c, width, 0, 0)
+    green_v = own_bend(green, c, width, 0, 1)
+    square[c] = green_h * green_h + green_v * green_v
+    product[c] = green_h * own_bend(code, c, width, 0, 0) + green_v * own_bend(code, c, width, 0, 1)
 
 
 @wp.kernel
@@ -245,22 +245,16 @@ def diagonals(code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: P
               black_level: float, scale: float, offset: float, variance: float, shot: float,
               longest: float, shortest: float, prior: float, red_row: int, red_col: int,
               rows: int, cols: int, root: int, noisy: int):
-    first, j = wp.tid()
-    for n in range(RUN):
-        i = RUN * first + n
-        y = i + low
-        own = first_own(y - MARGIN, red_row, red_col)
-        c = y * width + low + 2 * j + own
-        level = green[c]
-        noise = noise_of(level, variance, shot)
-        gain = gain_of(
-            (ring(product, c, width, 1, 1) + ring(product, c, width, 3, 3)) + (ring(product, c, width, 1, 3)
-                                                                       + ring(product, c, width, 3, 1)),
-            (ring(square, c, width, 1, 1) + ring(square, c, width, 3, 3)) + (ring(square, c, width, 1, 3) + ring(square, c, width, 3, 1)),
-            16.0, noise, prior)
-        other[c] = gain * level + blend(
-            rest(code, green, c - width - 1, gain), rest(code, green, c + width + 1, gain),
-            rest(code, green, c - width + 1, gain), rest(code, green, c + width - 1, gain), ALIKE + 2.0 * wp.sqrt(noise))
+    i, j = wp.tid()
+    y = i + low
+    own = first_own(y - MARGIN, red_row, red_col)
+    c = y * width + low + 2 * j + own
+    level = green[c]
+    noise = noise_of(level, variance, shot)
+    gain = gain_of(sites_around(product, c, width), sites_around(square, c, width), 16.0, noise, prior)
+    other[c] = gain * level + blend(
+        rest(code, green, c - width - 1, gain), rest(code, green, c + width + 1, gain),
+        rest(code, green, c - width + 1, gain), rest(code, green, c + width - 1, gain), ALIKE + 2.0 * wp.sqrt(noise))
 
 
 @wp.kernel
@@ -269,30 +263,28 @@ def colors(raw: wp.array2d[wp.uint16], code: PLANE, green: PLANE, square: PLANE,
            black_level: float, scale: float, offset: float, variance: float, shot: float,
            longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
-    start, pair = wp.tid()
-    for n in range(RUN):
-        row = wp.min(RUN * start + n, rows - 1)
-        first = own_plane(row, red_row)
-        own = first_own(row, red_row, red_col)
-        column = 2 * pair + own
-        c = (row + low) * width + column + low
-        if column < cols:
-            value = (float(raw[row, column]) - black_level) * scale  # exactly what was measured, not a squared root
-            if noisy == 1:
-                mean = 0.25 * cross(code, c, width, 2)
-                value = decode(draw(code[c], mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH),
-                               offset, variance, root)
-            rgb[first, row, column] = value
-            rgb[1, row, column] = decode(green[c], offset, variance, root)
-            rgb[2 - first, row, column] = decode(other[c], offset, variance, root)
-        column = 2 * pair + 1 - own
-        c = (row + low) * width + column + low
-        if column < cols:
-            value = (float(raw[row, column]) - black_level) * scale
-            if noisy == 1:
-                value = decode(green[c], offset, variance, root)
-            measured_along = axial_at(code, other, green, square, product, c, width, 0, variance, shot, prior)
-            measured_across = axial_at(code, other, green, square, product, c, width, 1, variance, shot, prior)
-            rgb[first, row, column] = decode(measured_along, offset, variance, root)
-            rgb[1, row, column] = value
-            rgb[2 - first, row, column] = decode(measured_across, offset, variance, root)
+    row, pair = wp.tid()
+    first = own_plane(row, red_row)
+    own = first_own(row, red_row, red_col)
+    column = 2 * pair + own
+    c = (row + low) * width + column + low
+    if column < cols:
+        value = (float(raw[row, column]) - black_level) * scale  # exactly what was measured, not a squared root
+        if noisy == 1:
+            mean = 0.25 * cross(code, c, width, 2)
+            value = decode(draw(code[c], mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH),
+                           offset, variance, root)
+        rgb[first, row, column] = value
+        rgb[1, row, column] = decode(green[c], offset, variance, root)
+        rgb[2 - first, row, column] = decode(other[c], offset, variance, root)
+    column = 2 * pair + 1 - own
+    c = (row + low) * width + column + low
+    if column < cols:
+        value = (float(raw[row, column]) - black_level) * scale
+        if noisy == 1:
+            value = decode(green[c], offset, variance, root)
+        measured_along = axial_at(code, other, green, square, product, c, width, 0, variance, shot, prior)
+        measured_across = axial_at(code, other, green, square, product, c, width, 1, variance, shot, prior)
+        rgb[first, row, column] = decode(measured_along, offset, variance, root)
+        rgb[1, row, column] = value
+        rgb[2 - first, row, column] = decode(measured_across, offset, variance, root)
