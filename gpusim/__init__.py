@@ -23,7 +23,8 @@ _PUBLIC = {
     "open_camera": "gpusim.data.cameras", "camera_names": "gpusim.data.cameras",
     "sensor_from_emva1288": "gpusim.data.emva1288",
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
-    "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights", "open_scene": "gpusim.io.scenes",
+    "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
+    "open_scene": "gpusim.io.scenes",
 }
 __all__ = sorted(_PUBLIC)
 

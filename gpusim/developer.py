@@ -1,6 +1,6 @@
 """A camera's image processor on a device: from digital numbers to a picture."""
 
-import functools
+from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
@@ -30,65 +30,109 @@ STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neig
 CLIPPED = 0.95  # of saturation: values interpolated beside a clipped pixel lie just below it
 
 
+@dataclass(frozen=True)
+class _Numbers:
+    """What digital numbers mean: those of black and white [DN], and their noise (see `Developer.noise`)."""
+
+    black: float
+    white: float
+    noise: tuple[float, float]
+
+    @property
+    def scale(self):
+        return 1 / (self.white - self.black)
+
+    def corrected(self):
+        """The same on the scale of corrected mosaics."""
+        span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
+        return _Numbers(CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span))
+
+
 class Developer:
     """The image processor of a camera on a device.
 
-    camera: as operated (see `gpusim.scheduler.Exposure`).
+    camera: as operated (see `gpusim.scheduler.Exposure`). averaged: raw values whose mean each of its values is
+    (digital binning). transforms: function that gives colour transforms of a set of lights; by default, the camera's.
     """
 
-    def __init__(self, camera: Camera, device: Device):
-        self.camera, self.device = camera, device
+    def __init__(self, camera: Camera, device: Device, averaged: int = 1, transforms=None):
+        self.camera, self.device, self.averaged = camera, device, averaged
+        self._transforms = transforms or (lambda: transforms_of(camera))
         self._thresholds = thresholds(decoding(camera.display, camera.processor.tone))
 
     @property
     def noise(self) -> tuple[float, float]:
-        """(gain [DN/e-], read noise [DN]) of the raw values, as demosaicking and denoising want it."""
-        sensor = self.camera.sensor
-        if sensor.noise.photon == "none":
-            return 0.0, 0.0
-        gain, rounding = sensor.gain_dn_per_electron, 0.0 if sensor.bits == FLOAT_BITS else 1 / 12
-        return gain, hypot(gain * sensor.read_sigma, rounding**0.5)
+        """(gain [DN/e-], noise without light [DN]) of raw values: their variance is gain (DN - dark level) + noise^2.
+
+        Without light: read, row, column and dark-signal noise, as if they were of every pixel alone, and rounding. PRNU
+        is left out.
+        """
+        sensor, noise = self.camera.sensor, self.camera.sensor.noise
+        gain = sensor.gain_dn_per_electron
+        rounding = 0.0 if sensor.bits == FLOAT_BITS else 12**-0.5
+        dark = hypot(gain * hypot(sensor.read_sigma, noise.row, noise.column, noise.dsnu, noise.row_dsnu,
+                                  noise.column_dsnu), rounding)
+        return (0.0 if noise.photon == "none" else gain) / self.averaged, dark / self.averaged**0.5
 
     def demosaicked(self, raw, *, known=None, gains=None, blur: float = 0.0):
         """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.
 
         raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. known: map of the chip's
-        defective pixels, of the same shape, and gains of the shading correction at its nodes, where these are asked
-        for. blur: of the lens [pixel], see `best`.
+        defective pixels, of the same shape, and gains of the shading correction at its nodes, (positions, ny, nx) for
+        the pixels of the mosaic's period, where these are asked for. blur: of the lens [pixel], see `best`.
         """
         sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
-        black, white, (gain, read) = sensor.dark_level, sensor.white_level, self.noise
-        mosaic = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
-        if sensor.bits == FLOAT_BITS:
-            span = (CORRECTED_WHITE - CORRECTED_BLACK) / (white - black)
-            values = (device.numpy(raw) - black) * span + CORRECTED_BLACK
-            raw = device.array(np.rint(np.clip(values, 0, CORRECTED_WHITE)), np.uint16)
-            black, white, gain, read = CORRECTED_BLACK, CORRECTED_WHITE, gain * span, read * span
-        if processor.defects != "none":
-            raw = defects(raw, known, cfa=mosaic, detect=STANDS_OUT if processor.defects == "detect" else None,
-                          noise=(gain, read), black_level=black, device=device)
-        if processor.denoise:
-            raw = denoise(raw, cfa=mosaic, black_level=black, scale=1 / (white - black), noise=(gain, read),
-                          strength=processor.denoise, device=device)
-            black, white, gain, read = CORRECTED_BLACK, CORRECTED_WHITE, 0.0, 0.0
-        if gains is not None:
-            span = (CORRECTED_WHITE - CORRECTED_BLACK) / (white - black)
-            raw = shade(raw, gains, cfa=mosaic, black_level=black, scale=1 / (white - black), device=device)
-            black, white, gain, read = CORRECTED_BLACK, CORRECTED_WHITE, gain * span, read * span
-        numbers = {"black_level": black, "scale": 1 / (white - black), "device": device}
-        if sensor.is_monochrome or sensor.stacked:
-            planes = linear(raw, **numbers)
-            layers = len(sensor.channels) if sensor.stacked else 1
-            return device.reshape(planes, (layers, planes.shape[-2] // layers, planes.shape[-1]))
+        if sensor.stacked:
+            count = len(sensor.channels)
+            size = raw.shape[0] // count
+            layers = [slice(layer * size, (layer + 1) * size) for layer in range(count)]
+            values, flags = device.numpy(raw), None if known is None else device.numpy(known)
+            planes = []
+            for layer, rows in enumerate(layers):
+                one = device.array(np.ascontiguousarray(values[rows]), values.dtype.type)
+                one, numbers = self._corrected(one, np.zeros((1, 1), np.int32), None if flags is None else flags[rows],
+                                               None if gains is None else gains[layer : layer + 1])
+                planes.append(device.numpy(linear(one, black_level=numbers.black, scale=numbers.scale, device=device)))
+            return device.array(np.concatenate(planes))
+        raw, numbers = self._corrected(raw, sensor.cfa_indices, known, gains)
+        options = {"black_level": numbers.black, "scale": numbers.scale, "device": device}
+        if sensor.is_monochrome:
+            return linear(raw, **options)
         if processor.demosaic == "learned":
-            return learned(raw, phase=sensor.cfa, noise=(gain, read), table=processor.table, **numbers)
+            noise = numbers.noise if numbers.noise[0] else (0.0, 0.0)  # its roots know read noise beside shot noise
+            return learned(raw, phase=sensor.cfa, noise=noise, table=processor.table, **options)
         if not sensor.bayer_phase:
-            return interpolate(raw, cfa=mosaic, **numbers)
+            return interpolate(raw, cfa=sensor.cfa_indices, **options)
         phase = "".join(sensor.cfa)
         if processor.demosaic == "best":
-            return best(raw, phase=phase, noise=(gain, read), blur=blur, **numbers)
+            return best(raw, phase=phase, noise=numbers.noise, blur=blur, **options)
         return {"bilinear": bilinear, "malvar": malvar, "adaptive": adaptive}[processor.demosaic](
-            raw, phase=phase, **numbers)
+            raw, phase=phase, **options)
+
+    def _corrected(self, raw, mosaic, known, gains):
+        """Raw values without defects, noise and shading as the camera asks, and what their numbers mean.
+
+        Noise is that where the shading's gain is 1, and none after denoising.
+        """
+        sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
+        numbers = _Numbers(sensor.dark_level, sensor.white_level, self.noise)
+        if sensor.bits == FLOAT_BITS:
+            corrected = numbers.corrected()
+            values = (device.numpy(raw) - numbers.black) * numbers.scale / corrected.scale + corrected.black
+            raw = device.array(np.rint(np.clip(values, 0, CORRECTED_WHITE)), np.uint16)
+            numbers = corrected
+        if processor.defects != "none":
+            raw = defects(raw, known, cfa=mosaic, detect=STANDS_OUT if processor.defects == "detect" else None,
+                          noise=numbers.noise, black_level=numbers.black, device=device)
+        if processor.denoise:
+            raw = denoise(raw, cfa=mosaic, black_level=numbers.black, scale=numbers.scale, noise=numbers.noise,
+                          strength=processor.denoise, device=device)
+            numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
+        if gains is not None:
+            positions = np.arange(mosaic.size, dtype=np.int32).reshape(mosaic.shape)
+            raw = shade(raw, gains, cfa=positions, black_level=numbers.black, scale=numbers.scale, device=device)
+            numbers = numbers.corrected()
+        return raw, numbers
 
     def in_one_pass(self, raw, rendering: Rendering):
         """Display codes (rows, cols, 3) of raw values, the same as by `shown`; None where that takes several passes."""
@@ -97,23 +141,18 @@ class Developer:
                 or processor.defects != "none" or processor.denoise or processor.shading or processor.estimates_white):
             return None
         return develop(raw, self.device.array(rendering.display_from_camera), self._thresholds,
-                       phase="".join(sensor.cfa), black_level=sensor.dark_level, scale=self._scale,
+                       phase="".join(sensor.cfa), black_level=sensor.dark_level,
+                       scale=1 / (sensor.white_level - sensor.dark_level),
                        ceiling=rendering.ceiling, device=self.device)
 
     def balanced(self, planes, once: Rendering) -> Rendering:
         """The rendering for the white that the picture suggests, where the camera estimates it; else `once`."""
         if not self.camera.processor.estimates_white:
             return once
+        processor, scale = self.camera.processor, 1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level)
+        wanted = processor.color != "none" or processor.white_balance == "red-blue"
         small = self.device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=self.device))
-        return balanced(once, self.camera, self._transforms, small, self.noise[1] * self._scale)
-
-    @functools.cached_property
-    def _transforms(self):
-        return transforms_of(self.camera)
-
-    @property
-    def _scale(self):
-        return 1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level)
+        return balanced(once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale)
 
     def shown(self, planes, rendering: Rendering):
         """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3)."""

@@ -25,7 +25,7 @@ class Readout:
     """One chip of a sensor on a device (or the name of one).
 
     sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
-    output pixel's.
+    output pixel's; averaged: whose digital numbers' mean it is.
     """
 
     def __init__(self, sensor: Sensor, device: Device | str = "auto"):
@@ -38,6 +38,7 @@ class Readout:
             full_well=sensor.full_well * self.pixels,
             noise=dataclasses.replace(sensor.noise, dark_current=sensor.noise.dark_current * self.pixels))
         self._digital = not charge and sensor.binning != (1, 1)
+        self.averaged = prod(sensor.binning) if self._digital else 1
         self._patterns: dict = {}
 
     def operated(self, gain: float) -> Sensor:

@@ -37,8 +37,8 @@ from gpusim.planner.highlights import point_kernels
 from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.psf import psf_tables
-from gpusim.planner.rendering import Rendering, rendering
-from gpusim.planner.shading import relative_response, shading_gains
+from gpusim.planner.rendering import Rendering, rendering, transforms_of
+from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.planner.shutter import shutter_weights
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error, Report, StageReport
@@ -83,6 +83,7 @@ class Frame:
         white that of the picture where the camera estimates it.
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
+    blur, gains: as of the exposure.
     linear: linear display RGB before clipping and tone curve, float32 (3, rows, cols). rgb: display codes, uint8 (rows,
         cols, 3).
     """
@@ -95,6 +96,8 @@ class Frame:
     linear: np.ndarray
     rgb: np.ndarray
     report: Report
+    blur: float = 0.0
+    gains: np.ndarray | None = None
 
     def save(self, path):
         """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""
@@ -164,7 +167,7 @@ class Simulator:
             raw, shown, rgb = (np.array(self.device.numpy(array)) for array in (raw, shown, rgb))
             report = self._report(exposure, rendering, ms, seed, number, error, kept=number > first)
             yield Frame(exposure.camera, exposure.exposure_time, rendering, mean, self._layered(exposure, raw), shown,
-                        rgb, report)
+                        rgb, report, exposure.blur, exposure.gains)
 
     def bracket(self, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
         """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
@@ -350,16 +353,17 @@ class Simulator:
         return *developer.shown(planes, rendered), rendered
 
     def _developer(self, exposure):
-        return self._keep("developer", exposure.camera.sensor.analog_gain,
-                          lambda: Developer(exposure.camera, self.device))
+        return self._keep("developer", exposure.camera.sensor.analog_gain, lambda: Developer(
+            exposure.camera, self.device, self.readout.averaged,
+            lambda: self._keep("transforms", (), lambda: transforms_of(exposure.camera))))
 
     def _defects(self, exposure):
         """Map of the chip's dead pixels and of those whose own current shows in this exposure; None where not asked."""
         if exposure.camera.processor.defects != "known":
             return None
         shape, time = exposure.mean.shape, exposure.exposure_time
-        return self._keep("defects", (shape, time), lambda: self.readout.defects(
-            shape, time, HOT * self.camera.sensor.read_sigma))
+        return self._keep("defects", (shape, time, exposure.gain), lambda: self.readout.defects(
+            shape, time, HOT * exposure.camera.sensor.read_sigma))
 
     def _metered(self, exposure_time, gain, per_second):
         """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
@@ -383,10 +387,17 @@ class Simulator:
         if processor.shading:
             falls = (made.gain, None if made.warp is None else made.warp.nodes)
             key = (made.scene.shape, made.slope, *(None if map_ is None else map_.tobytes() for map_ in falls))
-            gains = self._keep("shading", key, lambda: shading_gains(relative_response(made), len(made.weights)))
+            gains = self._keep("shading", key, lambda: self._gains(made))
         return Exposure(made, camera, mean, expected, exposure_time, gain,
                         rendering(made, camera, exposure_time, self.readout.pixels),
                         self._blur(made) if processor.demosaic == "best" else 0.0, gains, ms)
+
+    def _gains(self, made):
+        """Gains of the shading correction for each pixel of the mosaic's period, see `Developer.demosaicked`."""
+        response, period = relative_response(made), self.readout.output.cfa_indices.shape
+        if self.camera.sensor.binning == (1, 1):
+            return shading_gains(response, prod(period))
+        return phase_gains(self.readout.mean(self.device.array(response)), period)[0]
 
     def _rates(self, made: Plan):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
@@ -579,6 +590,8 @@ class Simulator:
             # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
             tables = np.asarray(self._bands(4 * q, sensor.pixel_pitch / 4, tuple(4 * side for side in aperture), 32, 32,
                                             open_device("numpy"), whole=False, displacement=(0.0, 0.0)))
+            if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
+                tables = np.ascontiguousarray(tables).view(np.result_type(tables.dtype, np.complex64))
             light = made.weights.sum(axis=0)
             passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
                       for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]

@@ -255,10 +255,13 @@ def test_processor_names(key):
 
 @pytest.mark.parametrize(("changes", "error", "words"), [
     ({"denoise": -1}, OutOfRange, "denoise"), ({"denoise": float("nan")}, OutOfRange, "denoise"),
-    ({"table": object()}, OutOfRange, "only with demosaic"), ({"tone": (0, 1)}, BadData, "tone"),
+    ({"table": object()}, OutOfRange, "a FilterTable"), ({"tone": (0, 1)}, BadData, "tone"),
     ({"tone": ((0, 0),)}, BadData, "two or more"), ({"tone": ((0, 0), (1, 0.9))}, BadData, "from 0 to 1"),
-    ({"tone": ((0, 0), (0.5, 1.2), (1, 1))}, BadData, "increase"), ({"tone": ((-1, 0), (1, 1))}, BadData, "x >= 0"),
-    ({"tone": ((0, 0), (float("inf"), 1))}, BadData, "finite"),
+    ({"tone": ((0, 0), (0.5, 1.2), (1, 1))}, BadData, "increase"), ({"tone": ((-1, 0), (1, 1))}, BadData, "x from 0"),
+    ({"tone": ((0, 0), (float("inf"), 1))}, BadData, "finite"), ({"tone": "ab"}, BadData, "two or more"),
+    ({"tone": ((0, 0), (1, "x"))}, BadData, "two or more"), ({"tone": ((0, 0), (1,))}, BadData, "two or more"),
+    ({"tone": ((0, 0), (1e4, 1))}, BadData, "at most 1000"), ({"shading": "no"}, OutOfRange, "True or False"),
+    ({"defects": None}, UnknownName, "defects"), ({"demosaic": "learned", "table": "x"}, OutOfRange, "a FilterTable"),
 ])
 def test_processor_refuses(changes, error, words):
     with pytest.raises(error, match=words):
@@ -288,7 +291,8 @@ def test_display_agrees_with_colour_science():
     ({"primaries": ((0.2, 0.2), (0.3, 0.3), (0.4, 0.4))}, BadData), ({"white": (0.3, 0.0)}, OutOfRange),
     ({"white": (0.7, 0.2)}, BadData), ({"curve": "gamma"}, OutOfRange), ({"curve": 0.4}, OutOfRange),
     ({"luminance": 0.0}, OutOfRange), ({"luminance": float("nan")}, OutOfRange),
-    ({"spectra": Spectrum([400, 700], [1, 1])}, BadData),
+    ({"spectra": Spectrum([400, 700], [1, 1])}, BadData), ({"spectra": 5}, BadData),
+    ({"primaries": (("a", 1), (0.3, 0.6), (0.15, 0.06))}, BadData),
 ])
 def test_display_refuses(changes, error):
     with pytest.raises(error, match="display"):

@@ -10,6 +10,7 @@ from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.data.displays import open_display
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.scheduler import Simulator
 
@@ -158,3 +159,134 @@ def test_table_of_another_mosaic():
 
     with pytest.raises(UnknownName, match="mosaic"):
         camera_with(sensor={"cfa": ("RGB", "GBR", "BRG")}, demosaic="learned", table=bayer_table())
+
+
+# ------------------------------------------------------------------------------- what the processor knows of the noise
+
+
+@pytest.mark.parametrize(("noise", "sensor"), [
+    ({}, {}), ({"photon": "none"}, {}), ({"dsnu": 0.0, "row": 4.0, "read": 9.0}, {}), ({}, {"bits": FLOAT_BITS}),
+    ({}, {"binning": (2, 2)}), ({}, {"binning": (2, 2), "binning_mode": "digital"}), ({}, {"analog_gain": 4.0}),
+], ids=["plain", "no photons", "rows", "float", "charge", "digital", "gain"])
+def test_noise_model_is_that_of_the_raw_values(noise, sensor):
+    """Variance of 24 frames of a flat field against gain (DN - dark) + read^2.
+
+    No PRNU, which the model leaves out; DSNU does not vary from frame to frame and is left out here as well. 24 frames
+    of 1200 pixels or more scatter by sqrt(2 / 28800) = 0.8 %, rows' noise of 40 rows by sqrt(2 / 960) = 4.6 % of its
+    part, a fifth here.
+    """
+    camera = camera_with({"prnu": 0.0, "dsnu": 0.0, "read": 4.0} | noise, sensor, demosaic="bilinear")
+    camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
+    simulator = Simulator(camera, device="opencl")
+    exposure = simulator.expose(chart("flat", size=(120, 80)))
+    raws = simulator.device.numpy(simulator.draw(exposure, seed=5, frames=24)).astype(float)[:, ::2, ::2]  # one colour
+    developer = simulator._developer(exposure)
+    gain, read = developer.noise
+    measured = raws.var(axis=0, ddof=1).mean()
+    predicted = gain * (raws.mean() - exposure.camera.sensor.dark_level) + read**2
+    assert measured == pytest.approx(predicted, rel=0.05)
+
+
+def test_denoising_without_photon_noise_sees_the_read_noise():
+    camera = camera_with({"photon": "none", "read": 60.0, "prnu": 0.0, "dsnu": 0.0})
+    camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
+    plain, denoised = (Simulator(replace(camera, processor=replace(camera.processor, denoise=strength)),
+                                 device="opencl")(chart("flat", size=(96, 64))).linear for strength in (0.0, 1.0))
+    assert denoised[1].std() < 0.5 * plain[1].std()  # its variance falls 16 times and more on flat fields
+
+
+@pytest.mark.parametrize("sigma", [0.45, 0.9, 1.6])
+def test_blur_of_a_gaussian_lens(sigma):
+    """A measured Gaussian point spread of known width: its transfer at 1/4 cycle is exp(-2 (pi sigma / 4)^2).
+
+    The table's samples are a fifth of a pixel apart and interpolated linearly: variance larger by 1 / 150 pixel^2, at
+    most 1.7 % of sigma.
+    """
+    from gpusim.domain.psf import PointSpread
+
+    camera = camera_with(name="machine-vision")
+    pitch = camera.sensor.pixel_pitch
+    spacing, half = pitch / 5, 60
+    place = np.arange(-half, half + 1) / 5
+    spread = np.exp(-np.add.outer(place**2, place**2) / (2 * sigma**2))
+    psf = PointSpread(np.array([400.0, 700.0]), np.stack([spread, spread]), spacing)
+    camera = replace(camera, optics=replace(camera.optics, psf=psf, model="measured"))
+    simulator = Simulator(camera, device="numpy")
+    assert simulator._blur(simulator.plan(chart("flat", size=(64, 48)))) == pytest.approx(sigma, rel=0.02)
+
+
+@pytest.mark.parametrize("color", ["white-preserving", "none"])
+def test_estimated_white_keeps_the_brightness(color):
+    """A grey scene in A, by gray world: neutral, and as bright as its reflectance, which is white's share.
+
+    4800 pixels of 1000 electrons or more: 0.05 %, times 3 by the matrix; the strongest channel of the estimate is that
+    of the light's own white, whose noise is 0.1 %.
+    """
+    # half a well: where values scatter about the clipping level, leaving out clipped ones would bias the means
+    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color)
+    camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
+    frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), light="A", reflectance=0.4))
+    np.testing.assert_allclose(frame.linear.mean(axis=(1, 2)), 0.4, rtol=5e-3)
+
+
+def test_one_simulator_is_as_good_as_new_ones():
+    """What is kept from frame to frame follows field of view, time and gain."""
+    noise = {"hot_pixels": 0.02, "hot_current": 2e4}
+    camera = camera_with(noise, {"exposure_time": 0.02}, shading=True, defects="known", demosaic="best")
+    one = Simulator(camera, device="opencl")
+    small, large = (replace(chart("colorchecker", size=(72, 48)), fov=fov) for fov in (0.3, 1.4))
+    for scene, time, gain in ((small, 0.02, 1.0), (large, 0.02, 1.0), (large, 0.2, 1.0), (large, 0.02, 8.0)):
+        pictures = []
+        for simulator in (one, Simulator(camera, device="opencl")):
+            exposure = simulator.expose(scene, time, gain)
+            raw = simulator.draw(exposure, seed=2)
+            pictures.append(np.array(simulator.device.numpy(simulator.develop(raw, exposure)[0])))
+        np.testing.assert_array_equal(*pictures)
+
+
+# ------------------------------------------------------------------------------------------- stacked and binned pixels
+
+
+def test_layers_of_stacked_pixels_do_not_meet():
+    """Every layer is corrected as if it were alone: the other layers' values change nothing in it."""
+    letters = ("R", "G", "B")
+    camera = camera_with({"dead_pixels": 0.02}, {"stacked": True}, shading=True, denoise=1.0, defects="known")
+    simulator = Simulator(camera, device="opencl")
+    exposure = simulator.expose(chart("colorchecker", size=(60, 40)))
+    raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=1)))
+    changed = raw.copy()
+    changed[40:] = 1000 - changed[40:] // 2  # all but the first layer
+    developer = simulator._developer(exposure)
+    known = simulator._defects(exposure)
+    planes = [np.array(simulator.device.numpy(developer.demosaicked(simulator.device.array(values, np.uint16),
+                                                                    known=known, gains=exposure.gains)))
+              for values in (raw, changed)]
+    assert planes[0].shape == (len(letters), 40, 60)
+    np.testing.assert_array_equal(planes[0][0], planes[1][0])
+    assert not np.array_equal(planes[0][1], planes[1][1])
+
+
+@pytest.mark.parametrize("binning", [(1, 1), (2, 2)])
+def test_shading_of_binned_pixels(binning):
+    """Flat after the correction, whatever the binned colours' places: 243 x 179 pixels, 70 degrees, no noise.
+
+    Gains err by 2e-4 between their nodes, or by what a node per pixel leaves: steps of 4 pixels of cos^4 over 120, (4 /
+    120)^2 / 8 times second derivatives up to 8, 1e-3, both ways and twice that in the range. The smallest of 16-bit
+    numbers are a quarter of white. The matrix's rows, of absolute sum 3, may triple it where channels differ.
+    """
+    camera = camera_with({"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
+                         {"bits": 16, "binning": binning}, shading=True)
+    scene = replace(chart("flat", size=(243, 179)), fov=np.radians(70))
+    linear = Simulator(camera, device="opencl")(scene).linear
+    assert max(np.ptp(plane) / plane.mean() for plane in linear) < 6e-3
+
+
+def test_xyz_tables_balance_white_themselves():
+    from gpusim.domain.learned import FilterTable
+    from gpusim.l3.layout import layout
+
+    made = layout(("RG", "GB"), ("X", "Y", "Z"))
+    table = FilterTable(made, np.zeros(made.shape))
+    assert camera_with(demosaic="learned", table=table).processor.table is table
+    with pytest.raises(OutOfRange, match=r"filters that give XYZ.*balance white already"):
+        camera_with(demosaic="learned", table=table, white_balance="gray-world")

@@ -53,7 +53,7 @@ def displayed(codes, display: Display) -> Scene:
         white = Spectrum(spectra.wavelengths, spectra.values.sum(axis=0), f"white of {display.name}")
         shares = np.divide(spectra.values, white.values, out=np.zeros_like(spectra.values), where=white.values > 0)
         wavelengths = spectra.wavelengths
-    elif display is DISPLAYS["srgb"]:
+    elif display.encodes_like(DISPLAYS["srgb"]):
         primaries = srgb_primaries()
         wavelengths, shares = primaries.wavelengths, primaries.values
         white = white_radiance(illuminant("D65"), display.luminance)

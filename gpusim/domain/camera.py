@@ -24,6 +24,9 @@ class Camera:
 
     def __post_init__(self):
         self._check_mosaic()
+        if self.processor.white_balance == "red-blue" and not {*"RB"} <= {*self.sensor.channels}:
+            raise OutOfRange("processor.white_balance", f'"red-blue" of the channels {", ".join(self.sensor.channels)}',
+                             "another way: it needs channels R and B")
         if self.processor.color != "none" and len(self.sensor.channels) < 3:
             raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
@@ -36,6 +39,9 @@ class Camera:
         mosaic = "/".join(sensor.cfa)
         if processor.demosaic == "learned" and processor.table is not None:
             processor.table.layout.shift(sensor.cfa)  # UnknownName unless the table is for this mosaic
+            if processor.table.layout.outputs == ("X", "Y", "Z") and processor.estimates_white:
+                raise OutOfRange("processor.white_balance", f'"{processor.white_balance}" with filters that give XYZ',
+                                 '"illuminant" or "none": they balance white already')
         elif not sensor.bayer_phase and processor.demosaic != "bilinear":
             allowed = '"bilinear", or "learned" with a table made by `gpusim train-l3`'
             raise OutOfRange("processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed)

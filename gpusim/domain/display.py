@@ -27,8 +27,12 @@ class Display:
     spectra: Spectrum | None = None
 
     def __post_init__(self):
-        if np.shape(self.primaries) != (3, 2) or np.shape(self.white) != (2,):
-            raise BadData("display: wanted (x, y) of three primaries and of the white")
+        try:
+            shapes = np.asarray(self.primaries, np.float64).shape, np.asarray(self.white, np.float64).shape
+        except (TypeError, ValueError):
+            shapes = None
+        if shapes != ((3, 2), (2,)):
+            raise BadData("display: wanted (x, y) of three primaries and of the white, numbers")
         for x, y in (*self.primaries, self.white):
             if not (0 <= x <= 1 and 0 < y <= 1 and x + y <= 1):
                 raise OutOfRange("display chromaticity", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
@@ -39,8 +43,14 @@ class Display:
         check_range("display", self, "curve", '"srgb" or the exponent of a power law, 1 .. 4',
                     lambda value: value == "srgb" or 1 <= value <= 4)
         check_range("display", self, "luminance", "0 < luminance <= 1e6", lambda value: 0 < value <= 1e6, "cd m-2")
+        if self.spectra is not None and not isinstance(self.spectra, Spectrum):
+            raise BadData(f"display.spectra = {self.spectra!r}: wanted a Spectrum of three rows")
         if self.spectra is not None and self.spectra.values.shape[:-1] != (3,):
             raise BadData(f"display.spectra: shape {self.spectra.values.shape}, wanted 3 rows: red, green, blue")
+
+    def encodes_like(self, other: "Display") -> bool:
+        """Whether codes mean the same colours on both, brightness aside."""
+        return (self.primaries, self.white, self.curve) == (other.primaries, other.white, other.curve)
 
     @property
     def xyz_from_rgb(self) -> np.ndarray:

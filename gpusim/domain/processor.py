@@ -11,6 +11,7 @@ DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
 WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "none")
 COLORS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal", "none")
+BRIGHTEST = 1e3  # of a tone curve's nodes, encoded
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Processor:
     target: the light in which the picture shows the scene's surfaces.
     tone: the tone curve, (x, y) of two or more nodes, both increasing: x a linear value (white = 1) encoded as sRGB,
         y what is shown, encoded likewise, from 0 to 1; between the nodes a monotone cubic. () for none.
-    In either case a perfect diffuser in the scene's light renders as display white, before the tone curve.
+    Where its light is known and used, a perfect diffuser renders as display white, before the tone curve.
     Raises UnknownName, OutOfRange, BadData.
     """
 
@@ -52,16 +53,24 @@ class Processor:
         for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
                            ("color", COLORS)):
             if getattr(self, key) not in known:
-                raise UnknownName(f"processor.{key}", getattr(self, key), known)
+                raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
+        check_range("processor", self, "shading", "True or False", lambda value: isinstance(value, bool))
+        check_range("processor", self, "table", "a FilterTable, see `gpusim.data.learned.read_table`",
+                    lambda value: isinstance(value, FilterTable))
         check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
         if self.table is not None and self.demosaic != "learned":
             raise OutOfRange("processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"')
         if self.tone:
-            nodes = np.asarray(self.tone, np.float64)
+            try:
+                nodes = np.asarray(self.tone, np.float64)
+            except (TypeError, ValueError):
+                raise BadData(f"processor.tone = {self.tone!r}: wanted (x, y) of two or more nodes") from None
             if nodes.ndim != 2 or nodes.shape[1] != 2 or len(nodes) < 2 or not np.isfinite(nodes).all():
                 raise BadData(f"processor.tone: shape {nodes.shape}, wanted (x, y) of two or more nodes, finite")
-            if not (np.diff(nodes, axis=0) > 0).all() or nodes[0, 0] < 0 or (nodes[0, 1], nodes[-1, 1]) != (0, 1):
-                raise BadData("processor.tone: wanted x and y that increase from node to node, x >= 0, y from 0 to 1")
+            if (not (np.diff(nodes, axis=0) > 0).all() or nodes[0, 0] < 0 or nodes[-1, 0] > BRIGHTEST
+                    or (nodes[0, 1], nodes[-1, 1]) != (0, 1)):
+                raise BadData("processor.tone: wanted x and y that increase from node to node, x from 0 on, at most "
+                              f"{BRIGHTEST:g}, y from 0 to 1")
             object.__setattr__(self, "tone", tuple(map(tuple, nodes.tolist())))
 
     @property

@@ -30,9 +30,10 @@ def _tags(display):
     from PIL.PngImagePlugin import PngInfo
 
     tags = PngInfo()
-    if display is DISPLAYS["srgb"]:
+    if display.encodes_like(DISPLAYS["srgb"]):
         return tags
-    if display is DISPLAYS["display-p3"]:  # code points of ITU-T H.273: P3 primaries, sRGB curve, RGB, full range
+    if display.encodes_like(DISPLAYS["display-p3"]):
+        # code points of ITU-T H.273: P3 primaries, sRGB curve, RGB, full range
         tags.add(b"cICP", bytes([12, 13, 0, 1]))
     exponent = 2.2 if display.curve == "srgb" else display.curve
     tags.add(b"gAMA", struct.pack(">I", round(1e5 / exponent)))

@@ -81,10 +81,11 @@ def planes_of(camera: Camera) -> tuple[str, ...]:
     return camera.sensor.channels if table is None else table.layout.outputs
 
 
-def balanced(once: Rendering, camera: Camera, transforms: TransformSet, thumbnail, floor: float) -> Rendering:
+def balanced(once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float) -> Rendering:
     """The same exposure, rendered for the white that the picture itself suggests.
 
-    once: for the target light. thumbnail: block means of camera values, shape (C, rows, cols). floor: of darkness.
+    once: for the target light. transforms: of a set of lights, where a matrix or the estimate needs them. thumbnail:
+    block means of camera values, shape (C, rows, cols). floor: of darkness.
     Raises BadData (see `estimate_white`).
     """
     processor = camera.processor
@@ -92,6 +93,7 @@ def balanced(once: Rendering, camera: Camera, transforms: TransformSet, thumbnai
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), estimate.white)
         return _scaled(matrix, estimate.white, None, f"{model}, {estimate.model}", once.white, once.saturation)
+    assert transforms is not None  # color is not "none"
     made = transforms.at(estimate.white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {estimate.model}"
     return _scaled(made.matrix, made.white, made.xyz, model, once.white, once.saturation)
