@@ -4,15 +4,17 @@ import dataclasses
 
 import numpy as np
 
-from gpusim.developer import Developer
+from gpusim.developer import STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.kernels.processor.align import align
+from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
+from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
 from gpusim.measure.merge import MARGIN, ROUNDING
-from gpusim.scheduler import Exposure, Frame, Simulator
+from gpusim.report import StageReport
+from gpusim.scheduler import HOT, Frame, Simulator
 
 PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value in merged raw values
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
@@ -21,55 +23,64 @@ REACH = 16  # [pixel] over which demosaicking may mix values
 FULL = 0.95  # of saturation: a colour interpolated beside a clipped one lies just below it
 
 
-def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None,
-                  exposure: Exposure | None = None) -> Frame:
+def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None) -> Frame:
     """One picture of high dynamic range from frames exposed differently long, such as `Simulator.bracket` takes.
 
     Each pixel becomes the mean of its rates, electrons per second, weighted by the inverse of their variances; frames
-    in which it is full are left out, and where all are, it is the shortest frame's. See `processor.merge`. Values
-    below digital number 0 were cut by the converter: a camera with a black level stays unbiased in the dark.
+    in which it is full are left out, and where all are, it is that of the frame which holds the largest rate: the
+    shortest, of equal gains. See `processor.merge`. Values below digital number 0 were cut by the converter: a camera
+    with a black level stays unbiased in the dark. Where the camera replaces defective pixels, that is done in every
+    frame before the merge; those known are detected instead if the map is not the simulator's, or pixels are binned.
 
-    frames: 2 to 16 of one camera and size, from digital numbers; order and analog gains are free. full_scale: the
-    largest rate that the raw values hold [e- s-1]; by default that at which the shortest exposure saturates. exposure:
-    of one of the frames, for the camera's shading correction and the blur that `best` wants to know.
+    frames: 2 to 16 of one camera and size, from digital numbers, not binned as such; order and analog gains are free.
+    full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
     Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
     or (C, rows, cols) [e-], divided by `exposure_time` a rate, negative where noise made it so; `raw` the same in 16
     bits up to full_scale; `linear` developed from them, in the frames' own units: display white stays 1, what is
     brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are too coarse.
     Raises BadData, OutOfRange.
     """
-    frames = sorted(_checked("merge_bracket", frames, MOST_FRAMES), key=lambda frame: frame.exposure_time)
-    times = np.array([frame.exposure_time for frame in frames])
-    tables = _tables(frames, times)
-    sensor, noise = frames[-1].camera.sensor, frames[-1].camera.sensor.noise
-    raw = np.stack([frame.raw for frame in frames])
-    if (raw[0] >= tables["ceiling"][0]).all():
-        raise BadData(f"merge_bracket: every pixel is full in the shortest exposure, {times[0]:.4g} s; take a shorter "
-                      "one")
-    period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
-    layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
-    rate = np.stack([merge(np.ascontiguousarray(layer), **tables, photon=noise.photon != "none", period=period,
-                           device=simulator.device) for layer in layers]).reshape(raw.shape[1:])
-    longest, limit = times[-1], frames[0].camera.sensor.saturation / times[0]
+    frames = _checked("merge_bracket", frames, MOST_FRAMES)
+    if simulator.readout.averaged > 1:
+        raise BadData("merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
+                      '"charge", or no binning')
+    tables = _tables(simulator, frames)
+    order = np.argsort(-(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable")
+    frames, tables = [frames[i] for i in order], {key: values[order] for key, values in tables.items()}
+    times, sensor = tables["time"], frames[0].camera.sensor
+    longest, limit = float(times.max()), sensor.saturation / times[0]
     full_scale = limit if full_scale is None else full_scale
-    if not 0 < full_scale < np.inf:
+    if not isinstance(full_scale, (int, float, np.number)) or not 0 < full_scale < np.inf:
         raise OutOfRange("full_scale", f"{full_scale} e-/s", "0 < full_scale < inf")
+    if (frames[0].raw >= tables["ceiling"][0]).all():
+        raise BadData("merge_bracket: every pixel is full in the frame that holds the largest rate, of "
+                      f"{times[0]:.4g} s; take a shorter one")
+    period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
+    with simulator.device.timed() as ms:
+        raw = _without_defects(simulator, frames)
+        layers = raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1)
+        rate = np.stack([simulator.device.numpy(merge(
+            simulator.device.array(np.ascontiguousarray(layer), np.uint16), **tables, period=period,
+            photon=sensor.noise.photon != "none", device=simulator.device)) for layer in layers]).reshape(raw.shape[1:])
     dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)  # [e- in the longest exposure]
     shown = frames[len(frames) // 2]
     return _developed(simulator, shown, rate * np.float32(longest), exposure_time=longest, full=full_scale * longest,
                       saturated=limit / full_scale, ratio=shown.exposure_time / longest, dark_noise=dark_noise,
-                      exposure=exposure, note=f"merged from {len(frames)} exposures, {times[0]:.4g} .. {longest:.4g} s")
+                      defects=_defects(simulator, frames), ms=ms,
+                      made={"processor.merge": f"{len(frames)} exposures, {times.min():.4g} .. {longest:.4g} s, to "
+                                               "rates, by the inverse of their variances"})
 
 
-def merge_burst(simulator: Simulator, frames, *, reference: int = 0, exposure: Exposure | None = None) -> Frame:
+def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     """One picture with less noise from frames exposed equally long while the camera shook or things moved.
 
     Tiles of 16 x 16 periods of the mosaic are found again in every frame (`processor.align`), moved onto the reference
     and averaged, each block of a period with weights that are 0 where the difference is more than the noise explains
     (`processor.average`): what moves by itself is shown as the reference has it, without ghosts and with its noise.
+    Defective pixels: as for `merge_bracket`.
 
     frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the
-    mosaic high and wide. reference: the frame that stays where it is. exposure: as for `merge_bracket`.
+    mosaic high and wide. reference: the frame that stays where it is.
     Returns a Frame as of n times the exposure time, the sum of n frames without noise correlated among them: `mean`
     the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits.
     Raises BadData, OutOfRange.
@@ -83,22 +94,23 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0, exposure: E
     sensor, count = sensors[0], len(frames)
     if sensor.stacked:
         raise BadData("merge_burst: stacked pixels; wanted a mosaic or a monochrome sensor")
-    gain, chip = sensor.gain_dn_per_electron, sensor.noise
-    fixed = sensor.read_sigma**2 + chip.row**2 + chip.column**2 + chip.dsnu**2  # moved, offsets differ as noise does
-    device, period = simulator.device, sensor.cfa_indices.shape
-    raw = device.array(np.stack([frame.raw for frame in frames]), np.uint16)
-    displacement = align(raw, reference=reference, period=period, device=device)
-    numbers = average(raw, displacement, reference=reference, period=period, black_level=sensor.dark_level,
-                      noise=(gain if chip.photon != "none" else 0.0, float(np.sqrt(gain**2 * fixed + ROUNDING))),
-                      device=device)
-    dark = chip.dark_current * chip.warmth * times[0]
-    electrons = (device.numpy(numbers) - np.float32(sensor.dark_level)) * np.float32(count / gain)
+    device, period, gain = simulator.device, sensor.cfa_indices.shape, sensor.gain_dn_per_electron
+    checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
+    noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise  # moved, offsets differ as noise does
+    with device.timed() as ms:
+        raw = device.array(_without_defects(simulator, frames), np.uint16)
+        displacement = align(raw, reference=reference, period=period, device=device)
+        numbers = device.numpy(average(raw, displacement, reference=reference, period=period, noise=noise,
+                                       black_level=sensor.dark_level, device=device))
+    dark = sensor.noise.dark_current * sensor.noise.warmth * times[0]
+    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(count * dark)
     full = (sensor.white_level - sensor.dark_level) / gain
-    dark_noise = float(np.sqrt(count * (fixed + ROUNDING / gain**2)))
-    electrons = electrons - np.float32(count * dark)
-    return _developed(simulator, frames[reference], electrons, exposure_time=count * times[0], full=count * full,
-                      saturated=sensor.saturation / full, ratio=1 / count, dark_noise=dark_noise, exposure=exposure,
-                      note=f"averaged from {count} frames")
+    dark_noise = float(np.sqrt(count * (np.square(noise[1] / gain) + _photons(sensor) * dark)))
+    return _developed(simulator, frames[int(reference)], electrons, exposure_time=count * times[0], full=count * full,
+                      saturated=sensor.saturation / full, ratio=1 / count, dark_noise=dark_noise,
+                      defects=_defects(simulator, frames), ms=ms,
+                      made={"processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
+                            "processor.average": f"{count} frames, moved onto frame {int(reference)}"})
 
 
 def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0) -> Frame:
@@ -110,23 +122,34 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
     See `processor.flash`.
     Returns the ambient frame with new `linear` and `rgb`. Raises BadData, OutOfRange.
     """
+    ambient, flash = _checked("merge_flash", [ambient, flash], None)
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
-    ambient, flash = _checked("merge_flash", [ambient, flash], None)
     full = FULL * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
-    linear = with_flash(ambient.linear, flash.linear, ambient_noise=_display_noise(ambient),
-                        flash_noise=_display_noise(flash), full=full if full > 0 else np.inf, radius=radius,
-                        reach=reach, device=simulator.device)
+    ambient_noise, flash_noise = (_display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash))
+    with simulator.device.timed() as ms:
+        linear = with_flash(ambient.linear, flash.linear, ambient_noise=ambient_noise, flash_noise=flash_noise,
+                            full=full if full > 0 else np.inf, radius=radius, reach=reach, device=simulator.device)
     as_is = dataclasses.replace(ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf))
     shown = Developer(ambient.camera, simulator.device).shown(simulator.device.array(linear), as_is)
     linear, rgb = (np.array(simulator.device.numpy(array)) for array in shown)
-    return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=_noted(ambient, "denoised by a flash picture"))
+    *stages, encoding = ambient.report.stages
+    by_flash = StageReport("processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0))
+    report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
+    return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
 
 def _checked(function, frames, most):
     """Frames of one camera. Raises BadData, OutOfRange."""
-    frames = list(frames)
+    try:
+        frames = list(frames)
+    except TypeError:
+        raise BadData(f"{function}: {frames!r}; wanted a list of gpusim frames") from None
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, Frame):
+            raise BadData(f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
+                          "as Simulator.frames and Simulator.bracket give")
     if len(frames) < 2 or (most and len(frames) > most):
         raise BadData(f"{function}: {len(frames)} frame(s); wanted two{f' to {most}' if most else ' or more'}")
     first = frames[0]
@@ -145,56 +168,109 @@ def _checked(function, frames, most):
     return frames
 
 
-def _tables(frames, times):
+def _photons(sensor):
+    """Variance of a mean electron's number [e-]."""
+    return float(sensor.noise.photon != "none")
+
+
+def _tables(simulator, frames):
     """What `processor.merge` wants to know of each frame."""
     rows = []
-    for frame, time in zip(frames, times, strict=True):
-        sensor = frame.camera.sensor
-        gain, chip = sensor.gain_dn_per_electron, sensor.noise
-        dark = chip.dark_current * chip.warmth * time
-        read = sensor.read_sigma**2 + chip.row**2 + chip.column**2 + chip.dsnu**2 + ROUNDING / gain**2
-        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * np.sqrt(read))
-        rows.append((sensor.dark_level + gain * dark, gain, time, read + dark * (chip.photon != "none"),
+    for frame in frames:
+        sensor, time = frame.camera.sensor, frame.exposure_time
+        gain, dark = sensor.gain_dn_per_electron, sensor.noise.dark_current * sensor.noise.warmth * time
+        read = Developer(frame.camera, simulator.device).noise[1] / gain
+        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * read)
+        rows.append((sensor.dark_level + gain * dark, gain, time, read**2 + _photons(sensor) * dark,
                      min(full, sensor.white_level)))
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
-def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, ratio, dark_noise, exposure, note):
+def _defects(simulator, frames):
+    """How the frames' defective pixels are found: by the chip's map only if it is the simulator's and not binned."""
+    asked, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
+    mapped = sensor.binning == (1, 1) and sensor.noise == frames[0].camera.sensor.noise
+    return "detect" if asked == "known" and not mapped else asked
+
+
+def _without_defects(simulator, frames):
+    """Raw values of all frames, their defects replaced if the camera asks for it.
+
+    In merged ones the noise of bright parts is not that of their electrons, and what moved fits no map of the chip.
+    """
+    raw = np.stack([frame.raw for frame in frames])
+    how, device, shape = _defects(simulator, frames), simulator.device, raw.shape[1:]
+    if how == "none":
+        return raw
+    for frame, layers in zip(frames, raw.reshape(len(frames), -1, *shape[-2:]), strict=True):
+        sensor, known = frame.camera.sensor, None
+        if how == "known":
+            known = simulator.readout.defects(shape, frame.exposure_time, HOT * sensor.read_sigma)
+        maps = [None] * len(layers) if known is None else known.reshape(layers.shape)
+        for layer, map_ in zip(layers, maps, strict=True):
+            layer[:] = device.numpy(defects(
+                device.array(layer, np.uint16), map_, cfa=np.zeros((1, 1), np.int32) if sensor.stacked else
+                sensor.cfa_indices, detect=STANDS_OUT if how == "detect" else None, black_level=sensor.dark_level,
+                noise=Developer(frame.camera, device, simulator.readout.averaged).noise, device=device))
+    return raw
+
+
+def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, ratio, dark_noise, defects, ms,
+               made):
     """A Frame of merged electrons.
 
     frame: whose rendering is kept. electrons: of `exposure_time` [s]. full: electrons of the largest raw value.
     saturated: where the frames saturate, in parts of it. ratio: the frame's exposure time over the merged one's.
-    dark_noise: standard deviation without light [e-].
+    dark_noise: standard deviation without light [e-]. defects: how they were found. ms: milliseconds per stage of the
+    merge. made: its stages -> what they did.
     """
-    device, old = simulator.device, frame.camera.sensor
-    chip = dataclasses.replace(old.noise, dark_current=0.0, read=dark_noise, reset=0.0, adc=0.0, row=0.0, column=0.0)
-    asked = frame.camera.processor
-    processor = dataclasses.replace(asked, defects="detect" if asked.defects == "known" else asked.defects,
-                                    shading=exposure is not None and exposure.gains is not None)
-    gains, blur = (None, 0.0) if exposure is None else (exposure.gains, exposure.blur)
+    device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
+    averaged, gains = simulator.readout.averaged, frame.gains
+    chip = dataclasses.replace(old.noise, dark_current=0.0, read=dark_noise * averaged**0.5, reset=0.0, adc=0.0,
+                               row=0.0, column=0.0, dsnu=0.0, row_dsnu=0.0, column_dsnu=0.0)
+    processor = dataclasses.replace(asked, defects="none", shading=gains is not None)
 
     def scaled(full):
-        """Camera, digital numbers and demosaicked planes, 1 being `full` electrons."""
+        """Camera, digital numbers, and the developer that demosaicked them to planes, 1 being `full` electrons."""
         gain = (TOP - PEDESTAL) / full
         sensor = dataclasses.replace(old, bits=16, black_level=PEDESTAL, analog_offset=0.0, gain=gain, analog_gain=1.0,
                                      conversion_gain=None, adc_range=None, full_well=full, noise=chip)
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
         raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(np.uint16)
-        developer = Developer(camera, device)
-        planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), gains=gains, blur=blur)
+        developer = Developer(camera, device, averaged)
+        planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), gains=gains,
+                                       blur=frame.blur)
         return camera, raw, developer, planes
 
-    camera, raw, developer, planes = scaled(full)
-    step = full / (TOP - PEDESTAL)
-    if step**2 * ROUNDING > COARSE * dark_noise**2:
-        fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-        planes = device.array(np.where(_bright(electrons, full / FINER), device.numpy(planes), fine))
-    k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)  # old camera value over new
-    once = frame.rendering
-    shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
-                                   ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
-    linear, rgb = (np.array(device.numpy(array)) for array in developer.shown(planes, shown_by))
-    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, _noted(frame, note))
+    with device.timed() as more:
+        camera, raw, developer, planes = scaled(full)
+        step = full / (TOP - PEDESTAL)
+        if step**2 * ROUNDING > COARSE * dark_noise**2:
+            fine = device.numpy(scaled(full / FINER)[-1]) / FINER
+            most = 1.0 if gains is None else max(1.0, float(gains.max()))  # the shading's gains clip earlier
+            planes = device.array(np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine))
+        k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)  # old camera value over new
+        once = frame.rendering
+        shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
+                                       ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
+        shown = developer.shown(planes, shown_by)
+    linear, rgb = (np.array(device.numpy(array)) for array in shown)
+    first = {}
+    if defects != "none":
+        before = dataclasses.replace(camera, processor=dataclasses.replace(processor, defects=defects))
+        first["processor.defects"] = Developer(before, device).models()["processor.defects"] + ", frame by frame"
+    report = _reported(frame.report, first | made | developer.models(), {
+        name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}})
+    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, gains)
+
+
+def _reported(report, processing, ms):
+    """A frame's report with other stages between its sensor and its colours."""
+    last = ("processor.color", "display.encode")
+    before = [stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))]
+    stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
+    after = [dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0)) for stage in report.stages if stage.stage in last]
+    return dataclasses.replace(report, stages=[*before, *stages, *after])
 
 
 def _bright(electrons, limit):
@@ -204,14 +280,10 @@ def _bright(electrons, limit):
     return maximum_filter(electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0), 2 * REACH + 1) >= 0.99 * limit
 
 
-def _display_noise(frame):
-    """Noise of linear display values as `processor.flash` takes it, (3, 4)."""
+def _display_noise(frame, averaged=1):
+    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`."""
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
     chip, scale = sensor.noise, sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     read = sensor.read_sigma**2 + chip.row**2 + chip.column**2 + ROUNDING / sensor.gain_dn_per_electron**2
-    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * (chip.photon != "none")
-    return np.column_stack([per_light, scale**2 * read * (matrix**2).sum(axis=1)])
-
-
-def _noted(frame, note):
-    return dataclasses.replace(frame.report, notes=[*frame.report.notes, note])
+    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * _photons(sensor)
+    return np.column_stack([per_light, scale**2 * read * (matrix**2).sum(axis=1)]) / averaged

@@ -28,7 +28,7 @@ ALLOWED = {
     "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer", "gpusim.kernels",
                   "gpusim.planner", "gpusim.scheduler"},
     "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
-                          "gpusim.scheduler"},
+                          "gpusim.report", "gpusim.scheduler"},
     "gpusim.focus": {"gpusim.domain", "gpusim.scheduler"},
     "gpusim.truth": {"gpusim.domain", "gpusim.planner"},
 }

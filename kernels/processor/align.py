@@ -17,6 +17,8 @@ Sums are whole numbers, so all devices choose the same displacement. Where a fra
 is found all the same: `processor.average` tells whether it fits.
 """
 
+from numbers import Real
+
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -88,7 +90,7 @@ def checked_stack(raw, reference, period):
     dtype = getattr(raw.dtype, "name", None) or raw.dtype.__name__  # of NumPy or of a device
     if len(raw.shape) != 3 or dtype != "uint16" or 0 in raw.shape:
         raise BadData(f"raw: shape {tuple(raw.shape)} of {dtype}, wanted (frames, rows, cols) of uint16")
-    if not (0 <= reference < raw.shape[0] and reference == int(reference)):
+    if not (isinstance(reference, Real) and 0 <= reference < raw.shape[0] and reference == int(reference)):
         raise OutOfRange("reference", reference, f"the number of a frame, 0 .. {raw.shape[0] - 1}")
     if len(period) != 2 or not all(1 <= n <= 8 and n == int(n) for n in period):
         raise OutOfRange("period", period, "whole numbers of rows and columns, 1 .. 8")

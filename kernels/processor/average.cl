@@ -1,5 +1,5 @@
-// Three passes: move and compare, weigh, add. A GPU's work-item does a block, a block, a pixel; a CPU's a row, in runs of
-// a tile's width: all of a tile have one displacement, so that neighbours are read in vectors.
+// Three passes: move and compare, weigh, add. A GPU's work-item does a block, a block, a pixel; a CPU's a row, in runs
+// of a tile's width: all of a tile have one displacement, so that neighbours are read in vectors.
 // From the host: FRAMES, TILE, PERIOD_Y, PERIOD_X, CPU (0 or 1), WIDTH, LOW, HIGH, OUTSIDE.
 #pragma OPENCL FP_CONTRACT OFF
 #include "lanes.clh"
@@ -52,8 +52,10 @@ INLINE void move_run(
                 for (int a = 0; a < 4; ++a) {
                     real line = 0.0f;
 #pragma unroll
-                    for (int b = 0; b < 4; ++b)
-                        line += weights_x[b] * TO_REAL(vload8(0, from + (size_t)a * PERIOD_Y * cols + b * PERIOD_X + x));
+                    for (int b = 0; b < 4; ++b) {
+                        __global const ushort *tap = from + (size_t)a * PERIOD_Y * cols + b * PERIOD_X;
+                        line += weights_x[b] * TO_REAL(vload8(0, tap + x));
+                    }
                     value += weights_y[a] * line;
                 }
                 const real other = TO_REAL(vload8(0, wanted + x)), difference = value - other;

@@ -38,8 +38,9 @@ INLINE real certainty(__global const float *restrict noise, const int c, const r
 
 // Means of the ambient picture, weighted by its own likeness.
 INLINE void own_means(
-    __global const float *restrict ambient, __global const float *restrict noise, __global const float *restrict spatial,
-    real *own, const float per_reach, const int y, const int x, const bool inside, const int rows, const int cols)
+    __global const float *restrict ambient, __global const float *restrict noise,
+    __global const float *restrict spatial, real *own, const float per_reach, const int y, const int x,
+    const bool inside, const int rows, const int cols)
 {
     const size_t plane = (size_t)rows * cols, row = (size_t)y * cols;
     real a[3], sure[3], weight = 0.0f;
@@ -72,7 +73,8 @@ INLINE void own_means(
 INLINE void pixels(
     __global const float *restrict ambient, __global const float *restrict flash,
     __global const float *restrict ambient_noise, __global const float *restrict flash_noise,
-    __global const float *restrict spatial, __global float *restrict out, const float full, const float per_reach, const int y, const int x, const bool inside, const int rows, const int cols)
+    __global const float *restrict spatial, __global float *restrict out, const float full, const float per_reach,
+    const int y, const int x, const bool inside, const int rows, const int cols)
 {
     const size_t plane = (size_t)rows * cols, row = (size_t)y * cols;
     real f[3], sure[3], sum_a[3], sum_f[3];

@@ -22,6 +22,8 @@ shadows of the flash, and where it is full, in its highlights: with the squares 
 step(t) = t^2 (3 - 2 t) of t cut to 0 .. 1. Pictures go on at their edges as they end there.
 """
 
+from numbers import Real
+
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -76,9 +78,9 @@ def checked(ambient, flash, ambient_noise, flash_noise, radius, reach):
         if not (table[:, 3] > 0).all():
             raise OutOfRange(f"{name}[:, 3]", table[:, 3].tolist(), "> 0")
         tables.append(table)
-    if not (1 <= radius <= MOST_RADIUS and radius == int(radius)):
+    if not (isinstance(radius, Real) and 1 <= radius <= MOST_RADIUS and radius == int(radius)):
         raise OutOfRange("radius", radius, f"a whole number of pixels, 1 .. {MOST_RADIUS}")
-    if not 0 < reach < np.inf:
+    if not (isinstance(reach, Real) and 0 < reach < np.inf):
         raise OutOfRange("reach", reach, "0 < reach < inf")
     return tables
 

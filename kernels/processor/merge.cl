@@ -50,7 +50,8 @@ INLINE void pixels(
         const real mean = (0.125f * TO_REAL(around) - dark) * per_number;
         const real light = photon ? POSITIVE(mean) : (real)0.0f;
         const real left = POSITIVE(full - mean);  // to a full well; squared, a root is saved
-        const integer plausible = i == 0 ? (integer)-1 : margin * margin * (light + floor_) <= left * left;
+        const integer holds = (mean <= full) & (margin * margin * (light + floor_) <= left * left);
+        const integer plausible = i == 0 ? (integer)-1 : holds;
         electrons += plausible ? mean : (real)0.0f;
         seconds += plausible ? (real)time : (real)0.0f;
         own[i] = (number - dark) * per_number;

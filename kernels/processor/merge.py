@@ -1,7 +1,8 @@
 """Merge of differently long exposures of one scene to electrons per second, each frame weighted by what it knows.
 
-Ports: raw (frames, rows, cols) uint16 [DN], from the shortest exposure to the longest -> rate (rows, cols) float32
-[e- s-1], still a mosaic, dark level and dark current off; negative where noise made it so.
+Ports: raw (frames, rows, cols) uint16 [DN], falling in the rate at which a frame is full (exposures of one gain: from
+the shortest to the longest) -> rate (rows, cols) float32 [e- s-1], still a mosaic, dark level and dark current off;
+negative where noise made it so.
 
 With n_i = (raw_i - dark_i) / gain_i the electrons from light of frame i and t_i its time, a pixel becomes
 
@@ -18,7 +19,7 @@ Weights from the pixel's own values would favour those that happen to be low (0.
 frame used where the pixel's own value says that it is not full yet would be used for low values more often than for
 high ones: up to 1.5 % of bias where frames take over. Independent of the pixel's noise, the weights leave the mean as
 it is. The second condition alone depends on it; in a flat field it then fails once in 1 / Q(margin) times at most. The
-shortest frame counts as used always: where it is full itself, so is the result.
+first frame, which holds the largest rate, counts as used always: where it is full itself, so is the result.
 """
 
 import numpy as np
@@ -36,8 +37,9 @@ def merge(device, raw, *, dark, gain, time, floor, ceiling, photon=True, margin=
     """Electrons per second of every pixel.
 
     raw: shape (frames, rows, cols) uint16 [DN], 1 to 16 frames. Of each frame, shape (frames,): dark: digital number
-    without light [DN], dark current included; gain [DN/e-]; time: of exposure [s], rising or equal; floor: variance
-    without light [e-2], > 0; ceiling: from here on the pixel is full [DN]. photon: whether electrons of light vary.
+    without light [DN], dark current included; gain [DN/e-]; time: of exposure [s]; floor: variance without light
+    [e-2], > 0; ceiling: from here on the pixel is full [DN]. The rate there, (ceiling - dark) / gain / time, must fall
+    or stay from frame to frame. photon: whether electrons of light vary.
     margin: distance of a frame's neighbourhood from full, below which it is left out [standard deviations of a pixel].
     period: rows and columns of the mosaic. At borders the neighbour on the other side counts twice.
     Returns shape (rows, cols) [e- s-1]. Raises BadData, OutOfRange.
@@ -46,7 +48,7 @@ def merge(device, raw, *, dark, gain, time, floor, ceiling, photon=True, margin=
     """
     table = checked(raw, dark, gain, time, floor, ceiling, margin, period)
     count, rows, cols = raw.shape
-    longest = table[2, -1]
+    longest = table[2].max()
     table[2] /= longest  # squares of short times would leave float32's range
     table[4] = np.ceil(table[4])
     full = (table[4] - table[0]) / table[1]
@@ -76,8 +78,9 @@ def checked(raw, dark, gain, time, floor, ceiling, margin, period):
         if key in ("gain", "time", "floor") and not (values > 0).all():
             raise OutOfRange(key, values.tolist(), f"{key} > 0")
         row[:] = values
-    if not (np.diff(table[2]) >= 0).all():
-        raise OutOfRange("time", table[2].tolist(), "from the shortest exposure to the longest")
+    largest = (table[4] - table[0]) / table[1] / table[2]
+    if not (np.diff(largest) <= 0).all():
+        raise OutOfRange("(ceiling - dark) / gain / time", f"{largest.tolist()} e-/s", "falling from frame to frame")
     if not 0 <= margin <= 100:
         raise OutOfRange("margin", margin, "0 <= margin <= 100")
     if len(period) != 2 or not all(n >= 1 and n == int(n) for n in period):
@@ -104,6 +107,10 @@ def cases():
         peak = np.abs(reference(**inputs)).max()
         yield Case(f"{count} frames {rows}x{cols}, period {period}", inputs,
                    2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / peak, why)
+        if count == 5:
+            yield Case("margin 0", {**inputs, "margin": 0.0},
+                       2.0**-24 * (2 * 4095 / 0.3 / time[0] + (2 * count + 12) * electrons.max()) / np.abs(
+                           reference(**inputs, margin=0.0)).max(), why)
     full = np.full((3, 5, 9), 1023, np.uint16)
     inputs = {"dark": np.full(3, 64.0), "gain": np.ones(3), "time": np.array([1.0, 2.0, 4.0]), "floor": np.full(3, 8.0),
               "ceiling": np.full(3, 1000.0)}
