@@ -129,6 +129,29 @@ def test_tone_nodes_are_met():
     assert (np.diff(light(np.linspace(0, 1, 1001))) > 0).all()
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("tone", [
+    ((0, 0), (1e3, 1)), ((0, 0), (1e-6, 0.5), (1e3, 1)), ((0, 0), (999.999999, 1e-9), (1e3, 1)),
+    ((999.999, 0), (1e3, 1)), ((0, 0), (1e-9, 1e-9), (1, 1 - 1e-9), (1e3, 1))])
+def test_steep_and_long_tone_curves_give_light_that_rises(tone):
+    """To 1000, as sRGB encodes it: ((1000 + .055) / 1.055)^2.4 = 1.4e7 times white.
+
+    The curve may end as level as a cubic can: four roundings of y, 2^-53, are then the cube of what x errs by, over
+    what the last segment rises.
+    """
+    light = decoding(Display(), tone)(CODES)
+    assert (np.diff(light) >= 0).all() and light[0] >= 0
+    error = 2.4 * (4 * 2**-53 / (tone[-1][1] - tone[-2][1])) ** (1 / 3)
+    assert light[-1] == pytest.approx(((tone[-1][0] + 0.055) / 1.055) ** 2.4, rel=error)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("tone", [((0, 0), (1e-320, 0.9), (1, 1)), ((0, 0), (1e300, 1))])
+def test_a_tone_curve_beyond_float64_is_named(tone):
+    with pytest.raises(BadData, match=r"processor\.tone"):
+        decoding(Display(), tone)
+
+
 def test_white_of_d65_is_the_srgb_display_s():
     white = xyz(illuminant("D65"))
     # the standard's chromaticity is rounded to four decimals: half a unit over the smallest, 0.3127

@@ -7,18 +7,20 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.io.atomic import atomic_path
 
-D65 = 21  # EXIF code of the light for which the colour matrix holds
+# EXIF codes of the lights for which a colour matrix may hold, and that of any other
+LIGHTS, OTHER_LIGHT = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}, 255
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
 
 def write_dng(path, raw, cfa_pattern, black_level, white_level, color_matrix=None, as_shot_neutral=None,
-              camera_name="gpusim"):
+              camera_name="gpusim", light="D65"):
     """Write sensor values as a DNG (version 1.4, one uncompressed strip), exactly as they are.
 
     raw: uint16 [DN], shape (rows, cols). cfa_pattern: colours of the 2 x 2 tile row by row, of R, G and B, such as
     "RGGB"; "" for a monochrome sensor. black_level, white_level: [DN].
-    color_matrix: XYZ (D65) to camera, shape (3, 3); as_shot_neutral: camera values of white, shape (3,), largest about
-    1. Both are needed with a CFA and not used without.
+    color_matrix: XYZ in `light` to camera, shape (3, 3); as_shot_neutral: camera values of white, shape (3,), largest
+    about 1. Both are needed with a CFA and not used without. light: name of the illuminant whose white the matrix takes
+    to `as_shot_neutral`, the processor's target; CalibrationIlluminant1 is "other" where EXIF has no code for it.
     LibRaw, and so many programs, opens no picture smaller than 22 x 22.
     Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0.
     """
@@ -47,7 +49,7 @@ def write_dng(path, raw, cfa_pattern, black_level, white_level, color_matrix=Non
             (33421, "H", 2, (2, 2), False),  # CFARepeatPatternDim
             (33422, "B", 4, tuple("RGB".index(letter) for letter in cfa_pattern), False),  # CFAPattern
             (50721, "2i", 9, _fractions(color_matrix.ravel()), False),  # ColorMatrix1
-            (50778, "H", 1, D65, False),  # CalibrationIlluminant1
+            (50778, "H", 1, LIGHTS.get(light.upper(), OTHER_LIGHT), False),  # CalibrationIlluminant1
             (50728, "2I", 3, _fractions(as_shot_neutral), False),  # AsShotNeutral
         ]
     with atomic_path(path) as temporary:

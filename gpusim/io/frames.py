@@ -60,7 +60,8 @@ def write_frame(path, frame):
         write_rgb_exr(path, frame.linear, display=frame.camera.display)
     elif suffix == ".dng":
         colors = {} if sensor.is_monochrome else {"color_matrix": frame.rendering.camera_from_xyz,
-                                                  "as_shot_neutral": frame.rendering.neutral}
+                                                  "as_shot_neutral": frame.rendering.neutral,
+                                                  "light": frame.camera.processor.target}
         write_dng(path, frame.raw, "" if sensor.is_monochrome else "".join(sensor.cfa), round(sensor.dark_level),
                   sensor.white_level, camera_name=f"gpusim {frame.camera.name}", **colors)
     else:

@@ -13,6 +13,7 @@ from gpusim.planner.sampling import AREA, frame_start, pixel_taps
 from gpusim.planner.weights import product_weights
 
 DAYLIGHT = "D65"  # assumed where the scene's light is not known
+PERIOD = 8  # of the largest mosaic [pixel]: of a binned one only whole periods are kept
 
 
 def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, light: Spectrum | str | None = None,
@@ -22,20 +23,24 @@ def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, ligh
     The XYZ of every sample's spectrum, averaged over the area of the pixel, are adapted from the white of the light to
     the display's (Bradford). Nothing is clipped to the display's gamut, and a lens's distortion is not followed.
 
-    shape: rows and columns, those of a binned frame; None: of the scene's frame.
+    shape: rows and columns, those of a binned frame (see `gpusim.kernels.sensor.bin`), which may leave out the last of
+        the scene's; None: of the scene's frame.
     light: shows the surfaces in this light instead of the scene's, as a camera's colour matrix aims at: photon radiance
         at any scale, or the name of an illuminant. luminance: shown as display white [cd m-2], needed where the scene's
-        light is not known (the white is D65's then); None: that of a perfect diffuser.
-    Raises BadData (shape, light), OutOfRange.
+        light is not known (the white is D65's then), and not with `light`; None: that of a perfect diffuser.
+    Raises BadData (shape, light, luminance), OutOfRange.
     """
     eye = energy_from_photons(cmf())  # at its own 1 nm; a light's table may be coarse
     if not scene.light_is_known and light is not None:
         raise BadData(f"ideal: {scene.name} is radiance, not reflectance: it cannot be shown in another light")
     if luminance is not None and not 0 < luminance < np.inf:
         raise OutOfRange("luminance of white", f"{luminance} cd m-2", "0 < luminance < inf")
+    if luminance is not None and light is not None:
+        raise BadData("ideal: luminance together with light: the light has any scale, so leave luminance out and a "
+                      "perfect diffuser is white")
     if isinstance(light, str):
         light = photons_from_energy(illuminant(light))
-    weights = product_weights(scene.wavelengths, eye, light or scene.illuminant)
+    weights = product_weights(scene.wavelengths, eye, scene.illuminant if light is None else light)
     white = weights.sum(1)
     if not scene.light_is_known:
         if luminance is None:
@@ -44,7 +49,7 @@ def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, ligh
         white = white.sum(1) / white[1].sum()
         weights = weights * (LUMINOUS_EFFICACY / luminance)
     else:
-        scale = white[1] if luminance is None or light else luminance / LUMINOUS_EFFICACY
+        scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
     gains = (BRADFORD @ display.xyz_from_rgb.sum(1)) / (BRADFORD @ white)
     samples = _seen(scene, np.linalg.solve(BRADFORD, gains[:, None] * BRADFORD) @ weights)
@@ -89,8 +94,10 @@ def _binned(planes, shape):
     if shape is None or tuple(shape) == planes.shape[1:]:
         return planes
     rows, cols = shape
-    by, bx = planes.shape[1] // max(rows, 1), planes.shape[2] // max(cols, 1)
-    if rows < 1 or cols < 1 or by < 1 or bx < 1 or (planes.shape[1] // by, planes.shape[2] // bx) != (rows, cols):
+    by, bx = factors = [size // max(count, 1) for size, count in zip(planes.shape[1:], shape, strict=True)]
+    if rows < 1 or cols < 1 or max(factors) < 2 or min(factors) < 1 or any(
+            size >= (count + PERIOD) * factor for size, count, factor in zip(planes.shape[1:], shape, factors,
+                                                                             strict=True)):
         raise BadData(f"ideal: {rows} x {cols} pixels do not come from the scene's {planes.shape[1]} x "
                       f"{planes.shape[2]} by binning")
     return planes[:, : rows * by, : cols * bx].reshape(3, rows, by, cols, bx).mean(axis=(2, 4))

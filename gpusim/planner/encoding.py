@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadData
 
 STEPS = 60  # of the bisection: float64 has no more
 
@@ -10,7 +11,7 @@ STEPS = 60  # of the bisection: float64 has no more
 def decoding(display: Display, tone: tuple = ()):
     """The function from codes, as fractions of the largest, to the linear light before the tone curve.
 
-    tone: see `gpusim.domain.processor.Processor`.
+    tone: see `gpusim.domain.processor.Processor`. Raises BadData.
     """
     if not tone:
         return display.decode
@@ -18,7 +19,11 @@ def decoding(display: Display, tone: tuple = ()):
 
     scene = DISPLAYS["srgb"]
     x, y = np.array(tone).T
-    shown = PchipInterpolator(x, y)
+    with np.errstate(all="ignore"):
+        shown = PchipInterpolator(x, y) if np.isfinite(np.diff(y) / np.diff(x)).all() else None
+        if shown is None or not (np.isfinite(shown.c).all() and np.isfinite(scene.decode(x[-1]))):
+            raise BadData(f"processor.tone: the cubic between its nodes, x = {x[0]:.6g} .. {x[-1]:.6g} as near as "
+                          f"{np.diff(x).min():.6g}, overflows; wanted nodes farther apart, and x <= 1000")
 
     def light(codes):
         wanted = scene.encode(display.decode(np.asarray(codes, np.float64)))

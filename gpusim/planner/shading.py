@@ -57,8 +57,8 @@ def phase_gains(response, period, most: float = 8.0) -> tuple[np.ndarray, np.nda
     """
     response, (down, right) = _checked(response, most), period
     if response.ndim != 2 or response.shape[0] < down or response.shape[1] < right:
-        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period of "
-                      f"the mosaic, {down} x {right}")
+        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period "
+                      f"of the mosaic, {down} x {right}")
     with np.errstate(divide="ignore"):
         gains = np.minimum(response.max() / response, most)
     maps = [(gains[y::down, x::right], (y, x)) for y in range(down) for x in range(right)]

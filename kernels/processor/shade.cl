@@ -22,7 +22,7 @@ __kernel void widen(
     float t;
     const int i = node_before(x, nx, cols, &t);
     __global const float *nodes = gains + (cfa[phase * period_x + x % period_x] * ny + j) * nx + i;
-    lines[(phase * ny + j) * cols + x] = (1.0f - t) * nodes[0] + t * nodes[1];
+    lines[(size_t)(phase * ny + j) * cols + x] = (1.0f - t) * nodes[0] + t * nodes[1];
 }
 
 __kernel void shade(
@@ -40,8 +40,9 @@ __kernel void shade(
     GUARD(x >= cols || y >= rows)
     float t;
     const int j = node_before(y, ny, rows, &t);
-    __global const float *line = lines + (y % period_y * ny + j) * cols;
+    const size_t pixel = (size_t)y * cols + x;
+    __global const float *line = lines + (size_t)(y % period_y * ny + j) * cols;
     const float gain = (1.0f - t) * line[x] + t * line[cols + x];
-    const float value = new_black + gain * (((float)raw[y * cols + x] - black_level) * scale);
-    out[y * cols + x] = (ushort)(int)(fmin(fmax(value, 0.0f), 65535.0f) + 0.5f);
+    const float value = new_black + gain * (((float)raw[pixel] - black_level) * scale);
+    out[pixel] = (ushort)(int)(fmin(fmax(value, 0.0f), 65535.0f) + 0.5f);
 }

@@ -1,0 +1,49 @@
+"""What stages do for GPUs, one pixel per work-item or another kernel altogether, run on the CPU by OpenCL.
+
+By default every fifth case of each stage that has such a form; all of them, and those that take long, with `slow`.
+"""
+
+import re
+
+import pytest
+
+from gpusim.backends.opencl import OpenCLDevice
+from gpusim.backends.select import open_device
+from gpusim.kernels.stage import public_function, stage_module, stage_names
+
+EVERY = 5
+DEFAULT = "processor."  # whose others have tests of their own, or builds of seconds
+
+
+def has_gpu_form(stage):
+    """Whether it asks what the device is."""
+    with open(stage_module(stage).__file__) as file:
+        return re.search(r"\b(is_gpu|on_host)\b", file.read())
+
+
+STAGES = [stage for stage in stage_names() if has_gpu_form(stage)]
+CASES = [pytest.param(stage, first, marks=pytest.mark.slow if first or not stage.startswith(DEFAULT) else ())
+         for stage in STAGES for first in range(EVERY)]
+
+
+@pytest.fixture(scope="module")
+def device():
+    """A CPU's OpenCL device, of this file alone, that claims to be a GPU apart from the host."""
+    shared = open_device("opencl:pocl")
+    own = OpenCLDevice(shared.cl_device, shared.name)
+    own.is_gpu, own.on_host = True, False
+    return own
+
+
+def test_stages_with_a_form_for_gpus_are_found():
+    assert {"processor.align", "processor.average", "processor.flash", "processor.merge", "processor.denoise",
+            "processor.defects", "processor.malvar", "processor.thumbnail", "processor.learned"} <= {*STAGES}
+
+
+@pytest.mark.parametrize("stage, first", CASES)
+def test_the_form_for_gpus_agrees_with_the_reference(stage, first, device):
+    """Within the cases' own tolerances, which hold for either form."""
+    function = public_function(stage)
+    for case in list(stage_module(stage).cases())[first::EVERY]:
+        error = case.error(function(**case.inputs, device=device), function(**case.inputs, device="numpy"))
+        assert error <= case.tolerance, case.name
