@@ -186,7 +186,7 @@ def frame_code(camera: Camera) -> Code:
     """How the camera's digital numbers are coded for its filters, as when they are used."""
     sensor = camera.sensor
     noise = Developer(camera, open_device("numpy")).noise
-    return Code("root", sensor.dark_level, 1 / (sensor.white_level - sensor.dark_level), noise)
+    return Code("root", sensor.dark_level, 1 / (sensor.white_level - sensor.dark_level), noise if noise[0] else (0, 0))
 
 
 def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], np.ndarray]:
