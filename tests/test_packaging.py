@@ -26,7 +26,7 @@ ALLOWED = {
     "gpusim.scheduler": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer",
                          "gpusim.kernels", "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.truth"},
     "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer", "gpusim.kernels",
-                  "gpusim.planner", "gpusim.scheduler"},
+                  "gpusim.measure", "gpusim.planner", "gpusim.scheduler"},
     "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
                           "gpusim.report", "gpusim.scheduler"},
     "gpusim.focus": {"gpusim.domain", "gpusim.scheduler"},

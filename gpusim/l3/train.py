@@ -17,14 +17,14 @@ from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import Code, FilterTable, Layout
-from gpusim.domain.scene import Basis, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.l3.fit import NormalEquations
 from gpusim.l3.layout import layout
 from gpusim.l3.scenes import training_scenes
+from gpusim.measure.ideal import pixel_sums
 from gpusim.planner.color import color_matrix
 from gpusim.planner.rendering import through
-from gpusim.planner.sampling import AREA, frame_start, pixel_taps
 from gpusim.planner.weights import product_weights
 from gpusim.scheduler import Simulator
 
@@ -139,26 +139,8 @@ def wanted_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     if not scene.light_is_known:
         raise BadData(f"{scene.name}: radiance in an unknown light, which cannot be lit anew; wanted reflectances and "
                       "their light, as charts and photographs have them")
-    content = scene.content
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
-    weights = weights / weights.sum(axis=1)[1]
-    if isinstance(content, Materials):
-        colors = np.moveaxis((content.spectra @ weights.T)[content.ids] * content.shading[..., None], -1, 0)
-    elif isinstance(content, Basis):
-        colors = np.tensordot(weights @ content.basis.T, content.coefficients.astype(np.float64), 1)
-    else:
-        colors = np.tensordot(weights, content.values.astype(np.float64), 1)
-    frame = (slice(None), *(slice(scene.margin, scene.margin + samples) for samples in scene.samples))
-    return _over_pixels(_over_pixels(colors[frame], scene, 0), scene, 1)
-
-
-def _over_pixels(colors, scene, axis):
-    """Means over the pixels' length along an axis of the frame."""
-    samples, pixels, ratio = scene.samples[axis], scene.shape[axis], scene.samples_per_pixel
-    taps = pixel_taps(samples, pixels, ratio, 1.0, frame_start(samples, pixels, ratio), AREA)
-    at = taps.start[:, None] + np.arange(taps.weights.shape[1])
-    along = np.moveaxis(colors, axis + 1, -1)[..., at]
-    return np.moveaxis((along * taps.weights).sum(axis=-1), -1, axis + 1)
+    return pixel_sums(scene, weights / weights.sum(axis=1)[1])
 
 
 def training_camera(camera: Camera) -> Camera:

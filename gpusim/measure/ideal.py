@@ -52,8 +52,15 @@ def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, ligh
         scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
     gains = (BRADFORD @ display.xyz_from_rgb.sum(1)) / (BRADFORD @ white)
-    samples = _seen(scene, np.linalg.solve(BRADFORD, gains[:, None] * BRADFORD) @ weights)
-    return _binned(_pixels(scene, samples), shape)
+    return _binned(pixel_sums(scene, np.linalg.solve(BRADFORD, gains[:, None] * BRADFORD) @ weights), shape)
+
+
+def pixel_sums(scene: Scene, weights) -> np.ndarray:
+    """Sums over wavelength of the scene's content, averaged over every pixel's square; float64 (3, rows, cols).
+
+    weights: of the scene's wavelengths, shape (3, L).
+    """
+    return _pixels(scene, _seen(scene, weights))
 
 
 def _seen(scene, weights):
