@@ -14,6 +14,9 @@ from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.scheduler import Simulator
 
+# by default on one device: the stages' own tests run on all, and whole pictures take long to build
+FIRST = [KINDS[0], *(kind if hasattr(kind, "marks") else pytest.param(kind, marks=pytest.mark.slow)
+                     for kind in KINDS[1:])]
 TONE = ((0, 0), (0.3, 0.2), (0.7, 0.8), (1, 1))
 SETTINGS = {
     "malvar": {"demosaic": "malvar"}, "adaptive": {"demosaic": "adaptive"}, "best": {"demosaic": "best"},
@@ -33,7 +36,7 @@ def camera_with(noise=None, sensor=None, name="phone", **settings):
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=list(SETTINGS))
-@pytest.mark.parametrize("device", [kind for kind in KINDS if kind != "numpy"])
+@pytest.mark.parametrize("device", FIRST)
 def test_every_setting_develops_as_the_reference_does(device, settings):
     """The same raw values, developed on a device and by the float64 references.
 
@@ -58,7 +61,7 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
     np.testing.assert_array_equal(alone, codes)
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", FIRST)
 def test_shading_makes_a_flat_scene_flat(device):
     """cos^4 of a lens and a vignetting sensor, without noise: the corner is at half; after it, flat to 1e-3."""
     camera = camera_with({"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0},
@@ -73,7 +76,7 @@ def test_shading_makes_a_flat_scene_flat(device):
     assert np.ptp(corrected[1]) < 1e-3 * corrected[1].mean()
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", FIRST)
 def test_known_defects_leave_no_trace_in_a_flat_field(device):
     """Without other noise every pixel of a channel has the same number, and so have the replaced ones."""
     noise = {"photon": "none", "read": 0.0, "prnu": 0.0, "dsnu": 0.0, "dark_current": 0.0, "dead_pixels": 0.01,
@@ -87,7 +90,7 @@ def test_known_defects_leave_no_trace_in_a_flat_field(device):
     assert np.ptp(frame.linear[1]) <= 1e-6  # equal numbers, in sums of different order
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", FIRST)
 def test_estimated_white_finds_the_light(device):
     """A ColorChecker in A by its white patch: 0.2 degrees from the truth by max-RGB (measured), 17 away from D65's.
 

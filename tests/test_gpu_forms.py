@@ -1,6 +1,6 @@
 """What stages do for GPUs, one pixel per work-item or another kernel altogether, run on the CPU by OpenCL.
 
-By default every fifth case of each stage that has such a form; all of them, and those that take long, with `slow`.
+All with `slow`: each form is built anew, which takes seconds.
 """
 
 import re
@@ -12,7 +12,6 @@ from gpusim.backends.select import open_device
 from gpusim.kernels.stage import public_function, stage_module, stage_names
 
 EVERY = 5
-DEFAULT = "processor."  # whose others have tests of their own, or builds of seconds
 
 
 def has_gpu_form(stage):
@@ -22,8 +21,7 @@ def has_gpu_form(stage):
 
 
 STAGES = [stage for stage in stage_names() if has_gpu_form(stage)]
-CASES = [pytest.param(stage, first, marks=pytest.mark.slow if first or not stage.startswith(DEFAULT) else ())
-         for stage in STAGES for first in range(EVERY)]
+CASES = [pytest.param(stage, first, marks=pytest.mark.slow) for stage in STAGES for first in range(EVERY)]  # builds
 
 
 @pytest.fixture(scope="module")
