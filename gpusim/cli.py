@@ -7,12 +7,15 @@ import sys
 from pathlib import Path
 
 from gpusim import __version__
-from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0, 1 (a verification failed), 2 (wrong input, said in one line)."""
+    """Run one command; returns the exit status: 0, 1 (a verification failed), 2 (wrong input, said in one line).
+
+    `gpusim.__main__.start` calls it as a program: with signals and a standard output that may be closed or full.
+    """
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
@@ -23,21 +26,17 @@ def main(argv: list[str] | None = None) -> int:
     except (MemoryError, KeyboardInterrupt) as error:
         print(f"gpusim: {'out of memory' if isinstance(error, MemoryError) else 'interrupted'}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader of our output has gone, as `head` does
-        sys.stderr.close()
-        return 0
 
 
 def _simulate(arguments):
     from gpusim.data.cameras import open_camera
-    from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.io.atomic import atomic_path
     from gpusim.io.frames import check_format
     from gpusim.io.scenes import open_scene
     from gpusim.scheduler import Simulator
 
     outputs = [_numbered(path, arguments.frames) for path in arguments.out]
-    for path in (*arguments.out, arguments.report):
-        check_output(path)  # said before the work, not after it
+    _check_outputs(outputs, arguments)  # said before the work, not after it
     camera = open_camera(arguments.camera)
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
@@ -77,6 +76,30 @@ def _numbered(path, count):
     frame_format(path)
     digits = max(4, len(str(count - 1)))
     return lambda number: path if count == 1 else path.with_name(f"{path.stem}_{number:0{digits}d}{path.suffix}")
+
+
+def _check_outputs(outputs, arguments):
+    """Refuse files that cannot be written, that would be written twice, or over the scene or the camera."""
+    import functools
+    import os
+
+    from gpusim.io.atomic import check_output
+
+    folder = functools.cache(os.path.realpath)
+
+    def place(path):
+        return os.path.normcase(Path(folder(path.parent), path.name))
+
+    report = [Path(arguments.report)] if arguments.report is not None else []
+    for path in (*(output(0) for output in outputs), *report):
+        check_output(path)
+    taken = {place(Path(name)): "is read" for name in (arguments.scene, arguments.camera) if Path(name).suffix}
+    for path in (*report, *(output(number) for output in outputs for number in range(arguments.frames))):
+        here = place(path)
+        if here in taken:
+            raise BadFile(path, f"{taken[here]}, and would be written over; give every -o and --report a name of its "
+                                "own")
+        taken[here] = "is given twice"
 
 
 def _named(text):
@@ -208,7 +231,7 @@ class _OneLineParser(argparse.ArgumentParser):
     """Wrong arguments are said in one line, as every other mistake is."""
 
     def error(self, message):
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {one_line(message)} (see {self.prog} --help)\n")
 
 
 def _parser():

@@ -18,13 +18,13 @@ from gpusim.kernels.processor.denoise import denoise
 from gpusim.kernels.processor.develop import develop
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.learned import learned
-from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
+from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.planner.encoding import decoding
-from gpusim.planner.rendering import Rendering, balanced, transforms_of
+from gpusim.planner.rendering import Rendering, rebalanced, transforms_of
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
 CLIPPED = 0.95  # of saturation: values interpolated beside a clipped pixel lie just below it
@@ -74,10 +74,12 @@ class Developer:
                                   noise.column_dsnu), rounding)
         return (0.0 if noise.photon == "none" else gain) / self.averaged, dark / self.averaged**0.5
 
-    def demosaicked(self, raw, *, known=None, gains=None, blur: float = 0.0):
+    def demosaicked(self, raw, *, white=None, known=None, gains=None, blur: float = 0.0):
         """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.
 
-        raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. known: map of the chip's
+        raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. white: camera values of
+        white, any scale, shape (C,), by which colours are compared (None: as they come); what comes out keeps its own
+        scale, so that clipped values are told from others as before. known: map of the chip's
         defective pixels, of the same shape, and gains of the shading correction at its nodes, (positions, ny, nx) for
         the pixels of the mosaic's period, where these are asked for. blur: of the lens [pixel], see `best`.
         """
@@ -100,14 +102,29 @@ class Developer:
             return linear(raw, **options)
         if processor.demosaic == "learned":
             noise = numbers.noise if numbers.noise[0] else (0.0, 0.0)  # its roots know read noise beside shot noise
-            return learned(raw, phase=sensor.cfa, noise=noise, table=processor.table, **options)
+            # a camera's own filters were learned from channels as they come, in its light
+            balance = (1.0, 1.0) if processor.table else self._balance(white)
+            return learned(raw, phase=sensor.cfa, noise=noise, table=processor.table, balance=balance, **options)
         if not sensor.bayer_phase:
             return interpolate(raw, cfa=sensor.cfa_indices, **options)
         phase = "".join(sensor.cfa)
+        if processor.demosaic == "bilinear":  # every channel by itself
+            return bilinear(raw, phase=phase, **options)
+        options["balance"] = self._balance(white)
         if processor.demosaic == "best":
             return best(raw, phase=phase, noise=numbers.noise, blur=blur, **options)
-        return {"bilinear": bilinear, "malvar": malvar, "adaptive": adaptive}[processor.demosaic](
-            raw, phase=phase, **options)
+        return {"malvar": malvar, "adaptive": adaptive}[processor.demosaic](raw, phase=phase, **options)
+
+    def _balance(self, white) -> tuple[float, float]:
+        """Factors of red and blue that make white as strong in them as in green."""
+        if white is None:
+            return 1.0, 1.0
+        red, green, blue = (float(white[self.camera.sensor.channels.index(letter)]) for letter in "RGB")
+        most = MOST_BALANCE  # a channel that hardly sees white, or the only one that does, is not amplified beyond that
+        if not green > 0:
+            return 1.0, 1.0
+        red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
+        return green / red, green / blue
 
     def _corrected(self, raw, mosaic, known, gains):
         """Raw values without defects, noise and shading as the camera asks, and what their numbers mean.
@@ -152,7 +169,7 @@ class Developer:
         processor, scale = self.camera.processor, 1 / (self.camera.sensor.white_level - self.camera.sensor.dark_level)
         wanted = processor.color != "none" or processor.white_balance == "red-blue"
         small = self.device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=self.device))
-        return balanced(once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale)
+        return rebalanced(once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale)
 
     def shown(self, planes, rendering: Rendering):
         """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3)."""

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from gpusim.developer import STANDS_OUT, Developer
+from gpusim.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.processor.align import align, checked_stack
@@ -20,7 +20,6 @@ PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
 COARSE = 0.1  # of the dark noise's variance: more from rounding asks for the finer scale
 REACH = 16  # [pixel] over which demosaicking may mix values
-FULL = 0.95  # of saturation: a colour interpolated beside a clipped one lies just below it
 
 
 def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None) -> Frame:
@@ -126,7 +125,7 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
-    full = FULL * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
+    full = CLIPPED * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
     ambient_noise, flash_noise = (_display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash))
     with simulator.device.timed() as ms:
         linear = with_flash(ambient.linear, flash.linear, ambient_noise=ambient_noise, flash_noise=flash_noise,
@@ -239,7 +238,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(np.uint16)
         developer = Developer(camera, device, averaged)
         planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), gains=gains,
-                                       blur=frame.blur)
+                                       white=frame.rendering.neutral, blur=frame.blur)
         return camera, raw, developer, planes
 
     with device.timed() as more:

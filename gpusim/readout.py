@@ -41,6 +41,9 @@ class Readout:
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._patterns: dict = {}
 
+    def __getstate__(self):
+        return self.__dict__ | {"_patterns": {}}  # arrays of the device, made anew
+
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`."""
         return dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)

@@ -33,9 +33,14 @@ class Error:
 
     def meets(self, tolerance: Tolerance) -> bool:
         """Whether every bound of `tolerance` that is set holds."""
-        bounds = ((self.rms, tolerance.rms), (self.p999_sigma, tolerance.p999_sigma),
-                  (self.max_sigma, tolerance.max_sigma))
-        return all(value <= bound for value, bound in bounds if bound is not None)
+        return self.nearest(tolerance)[0] <= 1
+
+    def nearest(self, tolerance: Tolerance) -> tuple[float, str]:
+        """Error over bound, and both in words, of the bound that is nearest to being broken or farthest beyond."""
+        bounds = ((self.rms, tolerance.rms, "rms"), (self.p999_sigma, tolerance.p999_sigma, "sigma at 99.9 %"),
+                  (self.max_sigma, tolerance.max_sigma, "sigma"))
+        return max((value / bound, f"{value:.2g} of {bound:.2g} {unit}") for value, bound, unit in bounds
+                   if bound is not None)
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ class Report:
 
     scene, camera, device: what was simulated where. stages: in the order the light goes. predicted: named error bounds
     of the plan. left_out: what was not modelled. error: the true error where it was asked for, and whether it meets
-    the tolerance.
+    the tolerance. not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
     """
 
     scene: dict
@@ -67,6 +72,7 @@ class Report:
     error: Error | None = None
     tolerance: Tolerance | None = None
     notes: list[str] = field(default_factory=list)
+    not_met: str = ""
 
     @property
     def ms(self) -> float:
@@ -80,8 +86,8 @@ class Report:
 
     @property
     def prediction_ratio(self) -> float | None:
-        """Predicted over true relative RMS error; None unless both are known and not 0."""
-        predicted = self.predicted.get("relative rms")
+        """Predicted over true relative RMS error, border included; None unless both are known and not 0."""
+        predicted = float(np.hypot(self.predicted.get("relative rms", 0), self.predicted.get("border", 0)))
         return predicted / self.error.rms if predicted and self.error and self.error.rms else None
 
     def as_dict(self) -> dict:
@@ -102,8 +108,10 @@ class Report:
         if self.prediction_ratio:
             lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
         if self.tolerance is not None:
-            verdict = {True: "met", False: "NOT met", None: "not checked (verify measures the true error)"}
-            lines.append(f"  tolerance: {verdict[self.meets_tolerance]}")
+            verdict = f"NOT met: {self.not_met}" if self.not_met else "not checked (verify measures the true error)"
+            if error := self.error:
+                verdict = f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}"
+            lines.append(f"  tolerance: {verdict}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)

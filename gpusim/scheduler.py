@@ -42,11 +42,12 @@ from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.planner.shutter import shutter_weights
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error, Report, StageReport
-from gpusim.truth import PROBES, at_pixels, probe_pixels
+from gpusim.truth import PROBES, at_pixels, probe_pixels, true_mean
 
 FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
 MOST_GAIN = 1e4  # analog gain beside the sensor's
+ON_DEVICE = ("mean", "expected")  # of an exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,8 @@ class Exposure:
     exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
         for the light that is known or assumed.
     blur: of the lens as a Gaussian [pixel], gains: of the shading correction at its nodes, where the camera uses them.
-    ms: milliseconds per stage that it took.
+    ms: milliseconds per stage that it took. device: where the electrons are. It is pickled with their values and the
+        device's name, which is opened where it is loaded.
     """
 
     plan: Plan
@@ -73,6 +75,14 @@ class Exposure:
     blur: float = 0.0
     gains: np.ndarray | None = None
     ms: dict = dataclasses.field(default_factory=dict)
+    device: Device = dataclasses.field(default_factory=Device)
+
+    def __getstate__(self):
+        return self.__dict__ | {name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state, **{name: state["device"].array(state[name], state[name].dtype)
+                                       for name in ON_DEVICE})
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,24 +122,30 @@ class Simulator:
     with `verify` the report says whether it is met; without one every wavelength is exact. guaranteed: predict for the
     worst spectrum there can be, a monochromatic point, and not for the scene's own. reach: pixels of surroundings on
     each side that take part in the blur; by default BORDER_REACH, or as many as the tolerance needs.
-    fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4).
+    fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4). period: of the transforms
+    [sample], for the reference: see `gpusim.planner.plan.plan`.
     Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 guaranteed: bool = False, reach: int | None = None, fft_free: bool = False):
+                 guaranteed: bool = False, reach: int | None = None, fft_free: bool = False,
+                 period: tuple[int, int] | None = None):
         self.camera = camera
         self.guaranteed = guaranteed
         if reach is not None and (int(reach) != reach or not 1 <= reach <= LENGTHS[-1] // 4):
             raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {LENGTHS[-1] // 4}")
         self.reach = reach
         self.fft_free = fft_free
+        self.period = period
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
         self.readout = Readout(camera.sensor, self.device)
         self._kept: dict = {}  # what -> (key, value): tables of the last plan, for the next frame of the same kind
+
+    def __getstate__(self):
+        return self.__dict__ | {"_kept": {}}  # tables of the device, made anew
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
         """One frame of `scene`; see `frames`."""
@@ -211,13 +227,12 @@ class Simulator:
     def _true_error(self, scene, exposure):
         """Error of the mean electrons against the float64 reference."""
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
-        # surroundings as large as the frame: the border's error is part of the true error, and no light wraps
-        reference = Simulator(self.camera, device="numpy", reach=max(scene.shape))
-        if exposure.plan.varying is None:
-            truth = reference.expose(scene, exposure.exposure_time).mean
+        made, time = exposure.plan, exposure.exposure_time
+        if made.varying is None:
+            truth = true_mean(Simulator, self.camera, scene, made, time)
         else:
             pixels = probe_pixels(scene.shape)
-            truth = at_pixels(reference, scene, exposure.plan, exposure.exposure_time, pixels)
+            truth = at_pixels(Simulator, self.camera, scene, made, time, pixels)
             mean = mean[pixels[:, 0], pixels[:, 1]]
         return Error.between(mean, truth, self.camera.sensor.read_sigma)
 
@@ -241,11 +256,11 @@ class Simulator:
         """What a frame of `scene` takes. Raises BadData, DoesNotFit."""
         most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
             LENGTHS[-1] - 2 * (ceil((self.reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
-        if max(scene.samples) > most:
+        if max(scene.samples) > most and not self.period:
             raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
         self.readout.output_shape(scene.shape)
         made = plan(scene, self.camera, transform_lengths, fft_length, self._sampled_tables, self.tolerance,
-                    self.guaranteed, self.reach, self.fft_free, self._keep)
+                    self.guaranteed, self.reach, self.fft_free, self.period, self._keep)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:
@@ -348,7 +363,8 @@ class Simulator:
     def _developed(self, raw, exposure):
         """Linear display RGB, display codes and the rendering that they are by."""
         developer = self._developer(exposure)
-        planes = developer.demosaicked(raw, known=self._defects(exposure), gains=exposure.gains, blur=exposure.blur)
+        planes = developer.demosaicked(raw, white=exposure.rendering.neutral, known=self._defects(exposure),
+                                       gains=exposure.gains, blur=exposure.blur)
         rendered = developer.balanced(planes, exposure.rendering)
         return *developer.shown(planes, rendered), rendered
 
@@ -390,7 +406,7 @@ class Simulator:
             gains = self._keep("shading", key, lambda: self._gains(made))
         return Exposure(made, camera, mean, expected, exposure_time, gain,
                         rendering(made, camera, exposure_time, self.readout.pixels),
-                        self._blur(made) if processor.demosaic == "best" else 0.0, gains, ms)
+                        self._blur(made) if processor.demosaic == "best" else 0.0, gains, ms, self.device)
 
     def _gains(self, made):
         """Gains of the shading correction for each pixel of the mosaic's period, see `Developer.demosaicked`."""
@@ -504,9 +520,10 @@ class Simulator:
 
     def _keep(self, what, key, make):
         """What `make` gave for `key` the last time, or gives now; one value of each kind is kept."""
-        if self._kept.get(what, (None,))[0] != key:
-            self._kept[what] = (key, make())
-        return self._kept[what][1]
+        found = self._kept.get(what)  # read once: another thread may put its own there
+        if found is None or found[0] != key:
+            found = self._kept[what] = key, make()
+        return found[1]
 
     def _sampled_tables(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
         """Transfer tables for the planner, float64."""
@@ -646,4 +663,4 @@ class Simulator:
              "analog_gain": camera.sensor.analog_gain,
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": self.device.name, "kind": self.device.kind}, number, seed, stages, made.predicted, made.left_out,
-            error, self.tolerance, notes)
+            error, self.tolerance, notes, made.not_met)

@@ -1,12 +1,27 @@
-"""The truth about frames whose blur varies over the field: exact mean electrons, at single pixels."""
+"""The truth about frames: exact mean electrons in a world that goes on without end as its border says.
+
+Every wavelength by itself, in float64, nothing split off and nothing folded. A mirrored world repeats itself every two
+frames, and so does a transform of that length, exactly. Any other is transformed with REACH samples around the frame;
+what lies beyond is smooth light from afar, and comes from a coarse grid (`gpusim.planner.border`). A pupil with
+straight blades throws it along their normals instead, too narrow for a coarse grid, which takes the mean over
+directions: with BLADES_REACH samples around the frame. Beyond a scene's own margin its outermost samples go on.
+
+Where the blur varies over the field, this is done at single pixels.
+"""
 
 import dataclasses
+from math import ceil
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
-from gpusim.planner.lens import open_lens, wavelength_nodes
+from gpusim.planner.border import at_samples, rule_of, tail_of, unseen
+from gpusim.planner.lens import open_lens, spread_radius, wavelength_nodes
 
+REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
+RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least
+CELLS = 32  # of the coarse grid along the reach
 PROBES = 16  # pixels
 SIZE = 61  # of the kernels' differences from that on the axis [pixel]
 PLACES = 5  # along each axis of a kernel's reach: kernels are polynomials of degree 4 in their place
@@ -32,23 +47,61 @@ def probe_pixels(shape) -> np.ndarray:
     return (margin + fractions * (shape - 2 * margin)).astype(int)
 
 
-def at_pixels(reference, scene, made, exposure_time, pixels) -> np.ndarray:
+def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
+    """Mean electrons of every pixel, float64, shape (rows, cols) or, of stacked pixels, (C, rows, cols).
+
+    simulator: the class `Simulator`, which imports this module. made: the plan of the frame. Raises DoesNotFit, before
+    anything is allocated.
+    """
+    reference = _reference(simulator, camera, scene, made)
+    own = reference.plan(scene)
+    rates, cfa = reference._rates(own)
+    border, tail = rule_of(scene.border), tail_of(camera.optics)
+    if own.gains is not None and border != "reflect" and tail:
+        light = np.tensordot(own.weights / own.flat * own.q, reference.light(own), 1)  # of each channel, times q
+        rows, cols = (np.arange(scene.margin - own.spare, n - scene.margin + own.spare) for n in light.shape[1:])
+        around = min(length - n for length, n in zip(own.period, light.shape[1:], strict=True)) / 2
+        cell = max(around / CELLS, 1)
+        far = np.stack([at_samples(unseen(one, own.period, border, cell, tail, times=(3, 5, 7)), one.shape, own.period,
+                                   rows, cols) for one in light])
+        rates = rates + reference._pixels(own, far)
+    return reference._expose(own, (rates, cfa), exposure_time)
+
+
+def _reference(simulator, camera, scene, made):
+    """Simulator in float64 whose transforms are as long as this scene needs."""
+    if made.gains is None:
+        return simulator(camera, device="numpy")
+    optics, shape = camera.optics, [n + 2 * scene.margin for n in scene.samples]
+    spread = spread_radius(optics, scene.wavelengths, camera.sensor.pixel_pitch / scene.samples_per_pixel)
+    reach = ceil(max(made.depth.reach if made.depth else 0, spread)) + 2
+    displaced = ceil(scene.samples_per_pixel * max(map(abs, camera.sensor.displacement)))
+    if scene.border == "reflect":
+        period = [2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n)) for n in shape]
+    else:
+        if tail_of(optics):
+            reach = max(RADII * reach, ceil(RINGS * made.q.max()), BLADES_REACH if optics.pupil.blades else REACH)
+        period = [scipy.fft.next_fast_len(n + 2 * (reach + displaced), real=True) for n in shape]
+    return simulator(camera, device="numpy", period=tuple(period))
+
+
+def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarray:
     """Mean electrons at `pixels` (row, column), float64.
 
-    reference: Simulator of the camera on the device "numpy". made: the plan of its frame. Each wavelength by itself:
-    the whole frame with the lens as on the axis, and at each pixel the light of all others around it, spread by the
-    difference of their own kernels from that on the axis. The scene has one sample per pixel.
+    simulator, made: as for `true_mean`. Each wavelength by itself: the whole frame with the lens as on the axis, and at
+    each pixel the light of all others around it, spread by the difference of their own kernels from that on the axis.
+    The scene has one sample per pixel.
     """
-    camera = reference.camera
     plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
-    base = type(reference)(plain, device="numpy", reach=max(scene.shape)).expose(scene, exposure_time).mean
+    reference = _reference(simulator, plain, scene, made)
+    base = true_mean(simulator, plain, scene, reference.plan(scene), exposure_time)
     rows, cols = scene.shape
     sensor = camera.sensor
     lens = open_lens(camera.optics, sensor.pixel_pitch, np.array(sensor.aperture) / sensor.pixel_pitch, (rows, cols),
                      sensor.displacement)
     size = max(SIZE, lens.least_size // 2 * 2 + 1)
     cfa, margin, half = camera.sensor.cfa_indices, scene.margin, size // 2
-    planes = reference.light(made)
+    planes = reference.light(reference.plan(scene))
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}
     planes = np.pad(planes, ((0, 0), (half, half), (half, half)), mode=modes[scene.border])
     corner = np.hypot(rows, cols) / 2

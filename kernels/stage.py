@@ -57,7 +57,7 @@ class Case:
             return 0.0
         if self.metric == "exact":
             return float(difference.max())
-        magnitude = np.abs(reference)
+        magnitude = np.abs(np.where(both_nan, 0.0, reference))
         if self.metric == "local":
             return float((difference / np.maximum(magnitude, max(self.floor, np.finfo(float).tiny))).max())
         return float(difference.max() / max(float(np.nanmax(magnitude, initial=0.0)), np.finfo(float).tiny))

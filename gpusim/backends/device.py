@@ -1,16 +1,31 @@
 """The protocol every backend fulfils."""
 
+import os
+import threading
 import time
+import weakref
 from collections import defaultdict
 from contextlib import contextmanager
 
 import numpy as np
 
+from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import host_memory
 
 
+class _Clock(threading.local):
+    """What one thread times on a device: milliseconds per stage, if any, the stage that is charged, events."""
+
+    def __init__(self):
+        self.times: defaultdict[str, float] | None = None
+        self.charged = ""
+        self.events: list = []
+
+
 class Device:
-    """A place where kernels run: allocate, move, launch, time.
+    """A place where kernels run: allocate, move, launch, time. Threads may share it; it is pickled by its name.
+
+    Drivers do not survive a fork: in the child process every use raises DeviceError.
 
     kind: "numpy", "opencl" or "warp"; name: what `open_device` was asked for, made definite, such as "opencl:0".
     on_host: arrays live in host memory, so `numpy()` is a view that costs nothing.
@@ -24,10 +39,16 @@ class Device:
     is_gpu = False
     has_fp64 = True
     group_limit = 1024  # work-items of a group at most
+    local_bytes = 48 * 1024  # local memory of a group that kernels may use: as every GPU of the last ten years has
 
     def __init__(self):
-        self._times: defaultdict[str, float] | None = None
-        self._charged = ""  # the stage whose time is running
+        self._clock = _Clock()
+        self._lock = threading.RLock()  # held while a kernel is built, or given its arguments and started
+        if self.kind != "numpy":
+            _in_use.add(self)
+
+    def __reduce__(self):
+        return _reopened, (self.name,)
 
     @property
     def memory(self) -> int:
@@ -65,26 +86,28 @@ class Device:
     def timed(self):
         """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block."""
         self.sync()
-        self._times, outer = defaultdict(float), self._times
-        times = self._times
+        clock = self._clock
+        clock.times, outer = defaultdict(float), clock.times
+        times = clock.times
         try:
             yield times
             self.sync()
-            self._collect()
+            self._collect(clock)
         finally:
-            self._times = outer
+            clock.times = outer
 
-    def _collect(self):
-        """Add the device's own event times to `self._times`."""
+    def _collect(self, clock):
+        """Add the device's own event times to `clock.times`."""
 
     @contextmanager
     def charged(self, stage: str):
         """Count what is launched inside the block as the time of `stage`, whatever file the kernels are in."""
-        outer, self._charged = self._charged, stage
+        clock = self._clock
+        outer, clock.charged = clock.charged, stage
         try:
             yield
         finally:
-            self._charged = outer
+            clock.charged = outer
 
     @contextmanager
     def host_work(self):
@@ -92,5 +115,44 @@ class Device:
         self.sync()
         start = time.perf_counter()
         yield
-        if self._times is not None:
-            self._times[self._charged] += 1e3 * (time.perf_counter() - start)
+        if self._clock.times is not None:
+            self._clock.times[self._clock.charged] += 1e3 * (time.perf_counter() - start)
+
+
+class _Forked(Device):
+    """What a device is in a child process that was forked after its driver had started."""
+
+    def _refuse(self, *_, **__):
+        refuse_fork(self.name)
+
+    array = empty = reshape = numpy = launch = sync = _refuse  # type: ignore[assignment]
+
+
+_in_use: weakref.WeakSet[Device] = weakref.WeakSet()
+_is_forked = False
+
+
+def _after_fork():
+    global _is_forked
+    for device in list(_in_use):
+        _is_forked = True
+        device.kind = device.kind  # of its class until now
+        device.__class__ = _Forked
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def refuse_fork(name):
+    """Raise DeviceError in a child process that was forked after a driver had started."""
+    if _is_forked:
+        raise DeviceError(f"{name}: this process was forked from one that had used a device, which drivers do not "
+                          'survive; start it by "spawn" (multiprocessing.get_context("spawn"), '
+                          'DataLoader(multiprocessing_context="spawn")), or use devices in child processes alone')
+
+
+def _reopened(name):
+    from gpusim.backends.select import open_device
+
+    return open_device(name)

@@ -16,6 +16,10 @@ DIALECT = """
 #define __global
 #define __constant
 #define __local __shared__
+#define LOCAL(type, name, count) \\
+    extern __shared__ float4 local_memory[]; \\
+    static_assert(sizeof(type) * (count) <= LOCAL_BYTES, "the host told too few LOCAL_BYTES"); \\
+    type *const name = (type *)local_memory
 #define restrict __restrict__
 #define barrier(fence) __syncthreads()
 #define get_local_id(axis) (int)threadIdx.x
@@ -41,7 +45,9 @@ ELEMENTS = {"float2": "float", "float": "float", "int": "int", "ushort": "wp.uin
 def native_kernel(wp, stage, kernel, defines, ranks):
     """Warp kernel that runs `kernel` of the stage's OpenCL file, launched over whole groups along one axis.
 
-    defines: compile-time constants; REGISTERS among them is the most that a work-item may use.
+    defines: compile-time constants; REGISTERS among them is the most that a work-item may use, LOCAL_BYTES the size of
+    what LOCAL declares. That is a tile of Warp's, which asks for as much as the device has; arrays declared otherwise
+    end at 48 KB less what Warp itself takes, 4 bytes a work-item.
     ranks: number of axes of each argument that is an array, None for the others.
     """
     text = _included(stage)
@@ -57,9 +63,11 @@ def native_kernel(wp, stage, kernel, defines, ranks):
     snippet = (f"\n{macros}{DIALECT}{text}\n}};\nKernels().{kernel}({', '.join(calls)});\n"
                + "".join(f"#undef {name}\n" for name in used))
     signature = ", ".join(f"{name}: {kind}" for name, kind in zip(names, kinds, strict=True))
+    tile = f"    wp.tile_empty(shape={-(-defines.get('LOCAL_BYTES', 0) // 16)}, dtype=wp.vec4, storage='shared')\n"
     source = (f"@wp.func_native(snippet)\ndef native({signature}): ...\n\n"
               f"@wp.kernel(module='unique', enable_backward=False, cuda_max_registers={defines.get('REGISTERS')})\n"
               f"def {kernel}({signature}):\n"
+              + (tile if "LOCAL_BYTES" in defines else "") +
               f"    native({', '.join(names)})\n")
     file = f"<{stage} {kernel} {hash(snippet)}>"
     linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file  # Warp reads its kernels' source

@@ -1,5 +1,7 @@
 """OpenCL devices: PoCL on CPUs, any vendor's GPU."""
 
+import sqlite3
+import sys
 import time
 from collections import defaultdict
 from math import prod
@@ -7,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.backends.caches import prepare_opencl
 from gpusim.backends.device import Device
+from gpusim.backends.pocl import known_processor
 from gpusim.domain.errors import DeviceError
 
 PAGE = 4096
@@ -36,7 +40,7 @@ class _Block:
             self.__array_interface__ = host.__array_interface__  # np.asarray(block) keeps the block alive
 
     def __del__(self):
-        if sum(map(len, self.free.values())) < FREE_BLOCKS:
+        if sum(map(len, list(self.free.values()))) < FREE_BLOCKS:  # a list: threads add sizes
             self.free[self.nbytes].append((self.buffer, self.host))
 
 
@@ -48,20 +52,19 @@ class OpenCLDevice(Device):
 
     def __init__(self, cl_device, name: str):
         super().__init__()
-        import pyopencl as cl
-
-        self._cl = cl
+        self._cl = cl = pyopencl()
         self.name = name
         self.cl_device = cl_device
         self.group_limit = cl_device.max_work_group_size
+        self.local_bytes = min(self.local_bytes, cl_device.local_mem_size)
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
+        self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self._kernels: dict = {}
         self._programs: dict = {}
-        self._events: list = []
         self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
@@ -87,7 +90,10 @@ class OpenCLDevice(Device):
     def empty(self, shape, dtype=np.float32):
         dtype = np.dtype(dtype)
         nbytes = max(prod(shape) * dtype.itemsize, 1)
-        buffer, host = self._free[nbytes].pop() if self._free[nbytes] else self._allocate(nbytes)
+        try:
+            buffer, host = self._free[nbytes].pop()
+        except IndexError:
+            buffer, host = self._allocate(nbytes)
         block = _Block(self._free, nbytes, buffer, host)
         if host is not None:
             host = np.asarray(block)[: prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
@@ -118,17 +124,18 @@ class OpenCLDevice(Device):
         return out
 
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
-        entry = self._kernel(stage, kernel, defines or {}, args)
-        if 0 in grid:
-            return
-        values = [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
-        if len(self._in_flight) > 256:
-            self.sync()
-        for size, block, offset in self._pieces(tuple(grid), group):
-            event = entry(self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1])
-            if self._times is not None:
-                self._events.append((self._charged or stage, event))
-        self._in_flight.append(args)
+        clock, values = self._clock, [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
+        with self._lock:  # a kernel keeps its arguments from being set until it is started
+            entry = self._kernel(stage, kernel, defines or {}, args)
+            if 0 in grid:
+                return
+            if len(self._in_flight) > 256:
+                self.sync()
+            for size, block, offset in self._pieces(tuple(grid), group):
+                event = entry(self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1])
+                if clock.times is not None:
+                    clock.events.append((clock.charged or stage, event))
+            self._in_flight.append(args)
 
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).
@@ -155,13 +162,21 @@ class OpenCLDevice(Device):
     def _kernel(self, stage, kernel, defines, args):
         key = (stage, kernel, *sorted(defines.items()))
         if key not in self._kernels:
-            entry = self._cl.Kernel(self._program(stage, defines), kernel)
-            # typed once, a launch costs microseconds instead of hundreds of them
+            program = self._program(stage, defines)
             kinds = [np.int32 if isinstance(arg, int | np.integer) else
                      np.float32 if isinstance(arg, float | np.floating) else None for arg in args]
-            entry.set_scalar_arg_dtypes(kinds)
-            self._kernels[key] = entry
+            try:
+                self._kernels[key] = self._typed(program, kernel, kinds)
+            except sqlite3.Error:  # pyopencl's cache of how arguments are set is corrupt: it saves less than 1 ms
+                self._cl._PYOPENCL_NO_CACHE = True
+                self._kernels[key] = self._typed(program, kernel, kinds)
         return self._kernels[key]
+
+    def _typed(self, program, kernel, kinds):
+        """Typed once, a launch costs microseconds instead of hundreds of them."""
+        entry = self._cl.Kernel(program, kernel)
+        entry.set_scalar_arg_dtypes(kinds)
+        return entry
 
     def _program(self, stage, defines):
         key = (stage, *sorted(defines.items()))
@@ -170,6 +185,8 @@ class OpenCLDevice(Device):
             # constants go into the text: PoCL's build cache has confused programs that differ in -D alone
             guard = "if (outside) return;" if self.is_gpu else ""
             head = f"#define GUARD(outside) {guard}\n"
+            if self.processor:  # PoCL's cache does not know that it builds for another one
+                head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
             try:
@@ -179,18 +196,33 @@ class OpenCLDevice(Device):
                     options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
                 self._programs[key] = program.build(options)
             except self._cl.Error as error:
-                raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {error}") from error
+                lines = str(error).splitlines()  # with the compiler's log
+                cause = next((line for line in lines if "error: " in line), lines[0])[:300]
+                raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot build {stage}.cl: {cause}") from error
             self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
         return self._programs[key]
 
     def sync(self):
+        with self._lock:
+            done, self._in_flight = self._in_flight, []
         self.queue.finish()
-        self._in_flight.clear()
+        done.clear()  # not sooner: the kernels that used it have ended now
 
-    def _collect(self):
-        for stage, event in self._events:
-            self._times[stage] += 1e-6 * (event.profile.end - event.profile.start)
-        self._events.clear()
+    def _collect(self, clock):
+        for stage, event in clock.events:
+            clock.times[stage] += 1e-6 * (event.profile.end - event.profile.start)
+        clock.events.clear()
+
+
+def pyopencl():
+    """The package, and PoCL with a cache that it can use. Raises DeviceError where it is missing."""
+    if "pyopencl" not in sys.modules:
+        prepare_opencl()
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"OpenCL devices need pyopencl ({error}); pip install 'pyopencl[pocl]'") from error
+    return pyopencl
 
 
 def stage_source(stage: str) -> tuple[str, Path]:
@@ -206,8 +238,7 @@ def stage_source(stage: str) -> tuple[str, Path]:
 
 def cl_devices() -> list:
     """Every OpenCL device of every platform, in the ICD loader's order."""
-    import pyopencl as cl
-
+    cl = pyopencl()
     try:
         platforms = cl.get_platforms()
     except cl.Error:  # no platform at all is an error code, not an empty list

@@ -4,8 +4,10 @@ Results are kept in the user's cache folder until the packages, the drivers or t
 `python -m gpusim.backends.probe opencl:0` tries one device and prints what it found as JSON.
 """
 
+import contextlib
 import hashlib
 import json
+import logging
 import os
 import platform
 import subprocess
@@ -24,21 +26,32 @@ COPY_BYTES = 2**26  # larger than most last-level caches
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
 EMPTY = {"name": "", "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False, "gpu": False,
          "memory": 0, "copy_gbps": 0.0, "error": ""}
+KINDS = {key: type(value) for key, value in EMPTY.items()}
+PATIENCE = 3600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
+DRIVERS = {"linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)", "darwin": "PoCL (conda-forge: pocl)",
+           "win32": "Intel's CPU Runtime for OpenCL"}
+log = logging.getLogger(__name__)
 
 
-def best(backend: str = "auto") -> str:
-    """Name of the device to prefer: a GPU, then OpenCL on the CPU by the newest driver.
+def best(backend: str = "auto", refresh: bool = False) -> dict:
+    """Entry of the device to prefer (see `devices`): a GPU, then OpenCL on the CPU by the newest driver.
 
-    backend: "auto" (any), "opencl" or "warp". Raises DeviceError with every device's reason when none works.
+    backend: "auto" (any), "opencl" or "warp". Raises DeviceError with every device's reason when none works; where no
+    OpenCL device does and "auto" takes Warp's CPU, which is slow, the log says why.
     """
-    entries = [entry for entry in devices() if backend in ("auto", entry["name"].partition(":")[0])
+    entries = [entry for entry in devices(refresh) if backend in ("auto", entry["name"].partition(":")[0])
                and entry["name"] != "numpy"]
     usable = [entry for entry in entries if not entry["error"]]
+    causes = "; ".join(f"{entry['name']}: {entry['error']}" for entry in entries if entry["error"]) or "none was found"
+    causes = " ".join(causes.split())[:300]
     if not usable:
-        reasons = "; ".join(f"{entry['name']}: {entry['error']}" for entry in entries) or "none was found"
-        raise DeviceError(f"no usable {'' if backend == 'auto' else backend + ' '}device ({reasons}); "
+        raise DeviceError(f"no usable {'' if backend == 'auto' else backend + ' '}device ({causes}); "
                           "--device numpy always works")
-    return max(usable, key=_preference)["name"]
+    chosen = max(usable, key=_preference)
+    if backend == "auto" and chosen["name"] == "warp:cpu":
+        log.warning("gpusim: no OpenCL device works (%s), so Warp runs on one processor core; install %s", causes,
+                    DRIVERS.get(sys.platform, "an OpenCL driver for the processor"))
+    return chosen
 
 
 def _preference(entry):
@@ -51,34 +64,50 @@ def devices(refresh: bool = False) -> list[dict]:
 
     error is "" for a usable device, else why it is not. refresh: measure again instead of reading the cache.
     """
-    cache = _cache_path()
-    if not refresh and cache.exists():
-        try:
-            entries = json.loads(cache.read_text())
-        except ValueError:  # left half-written by another program
-            entries = []
-        if entries:
-            return entries
+    try:
+        cache = _cache_path()
+    except RuntimeError:  # nobody's home
+        cache = None
+    entries = None if refresh or cache is None else _cached(cache)
+    if entries:
+        return entries
     names, failure = _names()
     entries = [_try(name) for name in names]
     if failure:
         entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
-    if any(entry["error"] for entry in entries):
-        return entries  # what failed is tried again next time: a driver may have been mended, a machine less busy
+    if cache is not None:
+        _write(cache, entries)
+    return entries
+
+
+def _cached(cache):
+    """Entries kept before, None where there are none, they are no such thing, or what failed may have been mended."""
+    try:
+        entries, age = json.loads(cache.read_text()), abs(time.time() - cache.stat().st_mtime)
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) and {
+            key: type(value) for key, value in entry.items()} == KINDS for entry in entries):
+        return None
+    return None if age > PATIENCE and any(entry["error"] for entry in entries) else entries
+
+
+def _write(cache, entries):
+    temporary = cache.with_suffix(f".{os.getpid()}")
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_suffix(f".{os.getpid()}")
         temporary.write_text(json.dumps(entries))
         temporary.replace(cache)
     except OSError:  # a read-only home only costs the time of the next probe
-        pass
-    return entries
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def _cache_path():
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
     facts = [sys.prefix, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
-        "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES"))]
+        "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES",
+        "POCL_MAX_PTHREAD_COUNT"))]
     for package in ("gpusim", "pyopencl", "pocl-binary-distribution", "warp-lang"):
         try:
             facts.append(f"{package} {version(package)}")
@@ -86,6 +115,8 @@ def _cache_path():
             facts.append(f"no {package}")
     vendors = Path(os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors"))
     facts += sorted(f"{icd} {icd.stat().st_mtime_ns}" for icd in vendors.glob("*.icd")) if vendors.is_dir() else []
+    with contextlib.suppress(OSError):
+        facts.append(Path("/proc/driver/nvidia/version").read_text())
     return folder / f"devices-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
 
 
@@ -96,7 +127,8 @@ def _names():
     except subprocess.TimeoutExpired:
         return ["numpy", "warp:cpu"], f"listing its platforms took more than {TIME_LIMIT} s"
     if result.returncode == 0:
-        return ["numpy", *json.loads(result.stdout.splitlines()[-1])], ""
+        names, failure = json.loads(result.stdout.splitlines()[-1])
+        return ["numpy", *names], failure
     last = (result.stderr.strip().splitlines() or ["no message"])[-1]
     return ["numpy", "warp:cpu"], f"a driver ended the listing (status {result.returncode}): {last}"
 
@@ -121,38 +153,46 @@ def _run(argument):
 
 
 def _list():
-    names = [f"opencl:{number}" for number in range(len(cl_devices()))] + ["warp:cpu"]
+    names, failure = ["warp:cpu"], ""
+    try:
+        names = [f"opencl:{number}" for number in range(len(cl_devices()))] + names
+    except DeviceError as error:  # no pyopencl
+        failure = str(error)
     try:
         wp = started_warp()
         names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
     except Exception:  # its own entry, warp:cpu, will say why
         pass
-    return names
+    return names, failure
 
 
 def _describe(name):
     from gpusim.backends.select import open_device
 
     device = open_device(name)
+    rate = _numpy_copy_gbps() if device.kind == "numpy" else copy_gbps(device)
+    return identity(device) | {"memory": int(device.memory), "copy_gbps": float(rate)}
+
+
+def identity(device) -> dict:
+    """What an entry of `devices` says of an open device, but for what is measured."""
     if device.kind == "opencl":
         cl_device = device.cl_device
         extensions = cl_device.extensions.split()
-        entry = {"device": cl_device.name.strip(), "driver": f"{cl_device.platform.name} {cl_device.driver_version}",
-                 "version": cl_device.version.strip(), "units": cl_device.max_compute_units, "gpu": device.is_gpu,
-                 "fp64": "cl_khr_fp64" in extensions, "fp16": "cl_khr_fp16" in extensions}
-    elif device.kind == "warp":
+        return {"device": cl_device.name.strip(), "driver": f"{cl_device.platform.name} {cl_device.driver_version}",
+                "version": cl_device.version.strip(), "units": cl_device.max_compute_units, "gpu": device.is_gpu,
+                "fp64": "cl_khr_fp64" in extensions, "fp16": "cl_khr_fp16" in extensions}
+    processor = platform.processor() or platform.machine()
+    if device.kind == "warp":
         import warp as wp
 
         gpu = device.is_gpu
-        driver = ".".join(map(str, wp.get_cuda_driver_version())) if gpu else "none"
-        entry = {"device": device.wp_device.name if gpu else platform.processor() or platform.machine(),
-                 "driver": f"CUDA {driver}" if gpu else "LLVM", "version": f"Warp {wp.__version__}", "gpu": gpu,
-                 "units": device.wp_device.sm_count if gpu else 1, "fp64": True, "fp16": gpu}
-    else:
-        return {"device": platform.processor() or platform.machine(), "driver": f"NumPy {np.__version__}",
-                "version": f"NumPy {np.__version__}", "units": 1, "fp64": True, "memory": device.memory,
-                "copy_gbps": _numpy_copy_gbps()}
-    return entry | {"memory": device.memory, "copy_gbps": copy_gbps(device)}
+        driver = ".".join(map(str, wp.get_cuda_driver_version() or ())) if gpu else "none"
+        return {"device": device.wp_device.name if gpu else processor, "driver": f"CUDA {driver}" if gpu else "LLVM",
+                "version": f"Warp {wp.__version__}", "units": device.wp_device.sm_count if gpu else 1, "gpu": gpu,
+                "fp64": True, "fp16": gpu}
+    return {"device": processor, "driver": f"NumPy {np.__version__}", "version": f"NumPy {np.__version__}", "units": 1,
+            "gpu": False, "fp64": True, "fp16": False}
 
 
 def copy_gbps(device) -> float:
@@ -188,10 +228,9 @@ def _main(argument):
         return
     try:
         found = _describe(argument)
-    except GpusimError as error:
-        found = {"error": str(error)}
     except Exception as error:  # whatever a driver raises is the reason why the device is unusable
-        found = {"error": f"{type(error).__name__}: {error}".splitlines()[0]}
+        text = str(error) if isinstance(error, GpusimError) else f"{type(error).__name__}: {error}"
+        found = {"error": " ".join(text.split())[:400]}
     print(json.dumps(found))
 
 

@@ -1,14 +1,16 @@
 """From a device's name to the device."""
 
 import functools
+import threading
 
-from gpusim.backends.device import Device
+from gpusim.backends.device import Device, refuse_fork
 from gpusim.backends.opencl import OpenCLDevice, cl_devices
 from gpusim.backends.warp import WarpDevice
 from gpusim.domain.errors import DeviceError
 
+_lock = threading.RLock()  # a device is opened once, whoever asks at the same time
 
-@functools.cache
+
 def open_device(name: str = "auto") -> Device:
     """Open a device once per process.
 
@@ -16,12 +18,17 @@ def open_device(name: str = "auto") -> Device:
     of its platform's or its own name), "warp:cpu", "warp:cuda:0", or "auto" (the best of all; see `gpusim devices`).
     Raises DeviceError that lists what there is.
     """
+    with _lock:
+        return _opened(name)
+
+
+@functools.cache
+def _opened(name):
     if name == "numpy":
         return Device()
+    refuse_fork(name)
     if name in ("auto", "opencl", "warp"):
-        from gpusim.backends.probe import best
-
-        return open_device(best(name))
+        return _best(name)
     backend, _, which = name.partition(":")
     if backend == "warp" and which:
         return WarpDevice(which, name)
@@ -36,3 +43,17 @@ def open_device(name: str = "auto") -> Device:
         listed = "; ".join(f"opencl:{n} = {d.name.strip()} ({d.platform.name})" for n, d in enumerate(devices))
         raise DeviceError(f"no OpenCL device {which!r}; there is: {listed or 'none (pip install pyopencl[pocl])'}")
     raise DeviceError(f"unknown device {name!r}: use auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N, numpy")
+
+
+def _best(backend):
+    """The device to prefer; probed again where the one that was found before has gone or is another one now."""
+    from gpusim.backends.probe import best, identity
+
+    entry = best(backend)
+    try:
+        device = open_device(entry["name"])
+        if identity(device).items() <= entry.items():
+            return device
+    except DeviceError:
+        pass
+    return open_device(best(backend, refresh=True)["name"])

@@ -1,13 +1,16 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
 import os
+import shutil
 import sys
 import time
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
+from gpusim.backends.caches import is_writable, lent_folder
 from gpusim.backends.device import Device
 from gpusim.backends.native import native_kernel
 from gpusim.domain.errors import DeviceError
@@ -15,14 +18,21 @@ from gpusim.domain.errors import DeviceError
 
 def started_warp():
     """Warp, initialised without a word: it has a native warning, on machines without CUDA, that no log level stops."""
-    import warp as wp
+    try:
+        import warp as wp
+    except ImportError as error:
+        raise DeviceError(f"Warp devices need Warp ({error}); pip install warp-lang") from error
 
     wp.config.log_level = wp.LOG_ERROR
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:
-        wp.init()
+        try:
+            wp.init()
+        except OSError:  # its cache cannot be written
+            wp.config.kernel_cache_dir = str(lent_folder())
+            wp.init()
     finally:
         os.dup2(kept, 2)
         os.close(kept)
@@ -46,8 +56,9 @@ class WarpDevice(Device):
         self.name = name
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
+        if self.is_gpu:  # Warp's kernels keep 4 bytes a work-item for themselves
+            self.local_bytes = min(self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit)
         self.array_type = wp.array
-        self._events: list = []
         self._natives: dict = {}  # kernels from OpenCL text
         self._loaded: set = set()  # specialised kernels that are built
         self.build_ms: dict[str, float] = {}
@@ -71,9 +82,11 @@ class WarpDevice(Device):
 
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
         options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
-        entry = self._kernel(stage, kernel, defines or {}, args, options)
+        clock = self._clock
+        with self._lock:
+            entry = self._kernel(stage, kernel, defines or {}, args, options)
         begin = time.perf_counter()
-        if self._times is not None and self.is_gpu:
+        if clock.times is not None and self.is_gpu:
             first = self._wp.Event(self.wp_device, enable_timing=True)
             last = self._wp.Event(self.wp_device, enable_timing=True)
             # arguments are packed before the clock starts: the device would wait for Python in between
@@ -81,11 +94,11 @@ class WarpDevice(Device):
             self._wp.record_event(first)
             command.launch()
             self._wp.record_event(last)
-            self._events.append((self._charged or stage, first, last))
+            clock.events.append((clock.charged or stage, first, last))
             return
         self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
-        if self._times is not None:
-            self._times[self._charged or stage] += 1e3 * (time.perf_counter() - begin)  # CPU launches return when done
+        if clock.times is not None:
+            clock.times[clock.charged or stage] += 1e3 * (time.perf_counter() - begin)  # CPU launches return when done
 
     def _kernel(self, stage, kernel, defines, args, options):
         module = f"gpusim.kernels.{stage}_warp"
@@ -114,13 +127,28 @@ class WarpDevice(Device):
 
     def _build(self, stage, module, **options):
         start = time.perf_counter()
-        self._wp.load_module(module, device=self.wp_device, **options)
+        try:
+            self._wp.load_module(module, device=self.wp_device, **options)
+        except Exception:  # of whatever kind by what is corrupt in the cache, if that is why
+            self._forget(module)
+            try:
+                self._wp.load_module(module, device=self.wp_device, **options)
+            except Exception as error:
+                raise DeviceError(f"{self.name}: cannot build {stage}: {str(error).partition(chr(10))[0]}") from error
         self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+
+    def _forget(self, module):
+        """Drop what is kept of a module; keep nothing beyond this process where the cache cannot be written."""
+        folder = Path(self._wp.config.kernel_cache_dir)
+        for kept in folder.glob(f"wp_{getattr(module, 'name', module.__name__)}_*"):
+            shutil.rmtree(kept, ignore_errors=True)
+        if not is_writable(folder):
+            self._wp.config.kernel_cache_dir = str(lent_folder())
 
     def sync(self):
         self._wp.synchronize_device(self.wp_device)
 
-    def _collect(self):
-        for stage, first, last in self._events:
-            self._times[stage] += self._wp.get_event_elapsed_time(first, last)
-        self._events.clear()
+    def _collect(self, clock):
+        for stage, first, last in clock.events:
+            clock.times[stage] += self._wp.get_event_elapsed_time(first, last)
+        clock.events.clear()

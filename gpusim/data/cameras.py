@@ -3,6 +3,9 @@
 import csv
 import dataclasses
 import difflib
+import io
+import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -18,7 +21,7 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
-from gpusim.domain.errors import BadFile, GpusimError, UnknownName
+from gpusim.domain.errors import LONGEST_VALUE, BadFile, UnknownName, near, one_line, shown
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
@@ -26,8 +29,13 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.sensor import Microlens, Sensor
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.files import named, read_text, reading
 
 _FOLDER = Path(__file__).with_name("cameras")
+LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
+LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
+# A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII)
 
 
 def camera_names() -> list[str]:
@@ -44,7 +52,7 @@ def open_camera(name_or_path) -> Camera:
     if name_or_path in camera_names():
         return _read(_FOLDER / f"{name_or_path}.toml")
     path = Path(name_or_path)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not os.path.exists(path):  # Path.exists raises for a name that is too long
         raise UnknownName("camera", str(name_or_path), camera_names())
     return _read(path)
 
@@ -58,10 +66,7 @@ def _number(per_unit=1.0):
     def read(value):
         if type(value) not in (int, float):
             raise _Wanted("a number")
-        try:
-            return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
-        except OverflowError:  # a whole number beyond the floating-point range
-            raise _Wanted("a smaller number") from None
+        return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
     return read
 
 
@@ -87,7 +92,7 @@ def _of(kind, wanted):
 def _mosaic(value):
     if type(value) is str:
         return mosaic(value)
-    if type(value) is not list or not all(type(item) is str for item in value):
+    if type(value) is not list or not value or not all(type(item) is str and item for item in value):
         raise _Wanted('rows of letters, such as ["RG", "GB"], or a mosaic\'s name, such as "x-trans"')
     return tuple(value)
 
@@ -287,27 +292,36 @@ _SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor":
 
 
 def _read(path):
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadFile(path, error.strerror or str(error)) from None
-    except ValueError as error:  # bad TOML (with the line) and bad UTF-8
-        raise BadFile(path, f"not TOML: {error}") from None
-    try:
+    text = read_text(path, "TOML")
+    deep = _DEEP_KEY.search(text)
+    if deep:
+        line = text.count("\n", 0, deep.start()) + 1
+        raise BadFile(path, f"not TOML of a camera: line {line} has a key of more than 16 parts")
+    with reading(path, "TOML"):
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:  # it says the line
+            raise BadFile(path, f"not TOML: {error}") from None
+        _require_short_integers(path, table)
+    with named(path):  # the domain's own checks know the key but not the file
         return _camera(path, table)
-    except BadFile:
-        raise
-    except GpusimError as error:  # the domain's own checks know the key but not the file
-        raise BadFile(path, str(error)) from None
+
+
+def _require_short_integers(path, value):
+    """Refuse whole numbers that no field takes: beyond 4300 digits Python does not even print them."""
+    if isinstance(value, int) and abs(value) >= LONGEST_INTEGER:
+        raise BadFile(path, "has a whole number of more than 64 bits: wanted a smaller number")
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _require_short_integers(path, item)
 
 
 def _camera(path, table):
     name = table.pop("name", path.stem)
     if type(name) is not str:
-        raise BadFile(path, f"name = {name!r}: wanted a text")
+        raise BadFile(path, f"name = {shown(name)}: wanted a text")
     for section in table:
         if section not in _SECTIONS:
-            raise BadFile(path, f"unknown section [{section}]{_near(section, _SECTIONS)}")
+            raise BadFile(path, f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, _SECTIONS)}")
     optics, sensor = _fields(path, table, "optics", Optics), _fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
@@ -334,8 +348,8 @@ def _display(path, fields):
     if not fields:
         return open_display(name or "srgb")
     if name in display_names():
-        raise BadFile(path, f"[display] name = {name!r} is a known display; leave out {', '.join(fields)}, or give it "
-                            "another name")
+        raise BadFile(path, f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
+                            "give it another name")
     return Display(name or path.stem, **fields)
 
 
@@ -373,16 +387,16 @@ def _fields(path, table, section, cls=None):
     known = _SECTIONS[section]
     given = table.get(section, {})
     if type(given) is not dict:
-        raise BadFile(path, f"{section} = {given!r}: wanted a section [{section}]")
+        raise BadFile(path, f"{section} = {shown(given)}: wanted a section [{section}]")
     fields = {}
     for key, value in given.items():
         if key not in known:
-            raise BadFile(path, f"unknown key {key!r} in [{section}]{_near_key(key, section)}")
+            raise BadFile(path, f"unknown key {shown(key)} in [{section}]{_near_key(key, section)}")
         field, read = known[key]
         try:
             fields[field] = read(value)
         except _Wanted as wanted:
-            raise BadFile(path, f"[{section}] {key} = {value!r}: wanted {wanted}") from None
+            raise BadFile(path, f"[{section}] {key} = {shown(value)}: wanted {wanted}") from None
         except UnknownName as error:
             raise BadFile(path, f"[{section}] {key}: {error}") from None
     required = {field.name for field in dataclasses.fields(cls)
@@ -393,19 +407,15 @@ def _fields(path, table, section, cls=None):
     return fields
 
 
-def _near(name, known):
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
-
-
 def _near_key(key, section):
     """Hint at the nearest key of any section: noise has one of its own, apart from the sensor's."""
     sections = {other: name for name, keys in _SECTIONS.items() for other in keys} | dict.fromkeys(
         _SECTIONS[section], section)
-    near = difflib.get_close_matches(key, sections, n=1) or [name for name in sections if key.endswith(f"_{name}")]
-    if not near or sections[near[0]] == section:
-        return _near(key, _SECTIONS[section])
-    return f"; did you mean {near[0]!r} in [{sections[near[0]]}]?"
+    found = (difflib.get_close_matches(key[:100], sections, n=1)  # no known key is as long, and its time grows
+             or [name for name in sections if key.endswith(f"_{name}")])
+    if not found or sections[found[0]] == section:
+        return near(key, _SECTIONS[section])
+    return f"; did you mean {found[0]!r} in [{sections[found[0]]}]?"
 
 
 def _efficiency(path, sensor):
@@ -430,7 +440,7 @@ def _efficiency(path, sensor):
         nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
         product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
     elif ends is not None:
-        raise BadFile(path, f'[sensor] qe_ends = {ends!r}: wanted "zero": no light is counted outside the table')
+        raise BadFile(path, f'[sensor] qe_ends = {shown(ends)}: wanted "zero": no light is counted outside the table')
     return product, channels
 
 
@@ -466,8 +476,8 @@ def _curves(path, label, value):
             raise BadFile(path, f"{label}: wanted lists of equally many numbers") from None
         return Spectrum(wavelengths, values, label), tuple(columns)
     if type(value) is not str:
-        raise BadFile(path, f"{label} = {value!r}: wanted a curve's name, a .csv file or a table of wavelengths_nm "
-                            "and values")
+        raise BadFile(path, f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
+                            "wavelengths_nm and values")
     if value.endswith(".csv"):
         return _read_csv(path.parent / value)
     try:
@@ -479,13 +489,10 @@ def _curves(path, label, value):
 
 def _read_csv(path):
     """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = [[cell.strip() for cell in line] for line in csv.reader(file) if any(map(str.strip, line))]
-    except OSError as error:
-        raise BadFile(path, error.strerror or str(error)) from None
-    except (ValueError, csv.Error) as error:
-        raise BadFile(path, str(error)) from None
+    text = read_text(path, "a CSV table", LONGEST_TABLE)
+    with reading(path, "a CSV table"):
+        lines = [[cell.strip() for cell in line] for line in csv.reader(io.StringIO(text, newline=""))
+                 if any(map(str.strip, line))]
     if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
         raise BadFile(path, "the first line must be wavelength_nm,R,G,B or the like")
     try:

@@ -14,6 +14,7 @@ from gpusim.domain.scene import Materials, Scene
 from gpusim.domain.spectrum import Spectrum
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
+FINEST = 1e6  # samples along a pixel
 BYTES_PER_PIXEL = 48  # ids, shading and the float64 intermediates of the costliest chart
 
 
@@ -37,8 +38,7 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
         if option not in known:
             raise UnknownName(f"option of chart {name!r}", option, known)
     checked_size(size)
-    _require("samples_per_pixel", samples_per_pixel, 1 <= samples_per_pixel < np.inf,
-             "1 <= samples_per_pixel < inf")
+    _require("samples_per_pixel", samples_per_pixel, 1 <= samples_per_pixel <= FINEST, f"1 .. {FINEST:g}")
     cols, rows = checked_size([math.ceil(n * samples_per_pixel) for n in size])
     fine = {"fine": samples_per_pixel} if "fine" in parameters else {}
     ids, shading, materials, border = draw(cols, rows, **fine, **options)

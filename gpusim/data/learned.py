@@ -5,17 +5,19 @@ and `detail_0`, `detail_1` are the weights along columns and rows. What may be N
 """
 
 import functools
-import io
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, GpusimError
 from gpusim.domain.learned import FilterTable, Layout
+from gpusim.io.archive import TEXT, WHOLE, open_archive
+from gpusim.io.atomic import atomic_path
+from gpusim.io.files import named
 
 ARRAYS = ("taps", "groups", "ratios", "shares", "noise", "floor", "strengths", "levels")
+CONTRAST, DETAIL = (tuple(f"{name}_{axis}" for axis in (0, 1)) for name in ("contrast", "detail"))
+TEXTS = {"mosaic": (None,), "outputs": (None,), "domain": (), "provenance": ()}  # names and shapes
+COPIES = 2.0  # of the numbers, as the types that are kept, and whether each is finite
 
 
 @functools.cache
@@ -33,29 +35,25 @@ def write_table(path, table: FilterTable):
         arrays |= {f"{name}_{axis}": weights for axis, weights in enumerate(getattr(layout, name) or ())}
     if table.offsets is not None:
         arrays["offsets"] = table.offsets
-    whole = io.BytesIO()
-    np.savez_compressed(whole, **arrays)
-    try:
-        Path(path).write_bytes(whole.getvalue())
-    except OSError as error:
-        raise BadFile(path, str(error)) from error
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read_table(path) -> FilterTable:
-    """Read a table. Raises BadFile."""
-    path = Path(path)
-    if not path.is_file():
-        raise BadFile(path, "no such file")
-    try:
-        with np.load(path) as stored:
-            layout = Layout(mosaic=tuple(map(str, stored["mosaic"])), outputs=tuple(map(str, stored["outputs"])),
-                            domain=str(stored["domain"]), contrast=(stored["contrast_0"], stored["contrast_1"]),
-                            detail=(stored["detail_0"], stored["detail_1"]) if "detail_0" in stored else None,
-                            box=int(stored["box"]), **{name: stored[name] for name in ARRAYS})
-            return FilterTable(layout, stored["filters"], stored["offsets"] if "offsets" in stored else None,
-                               str(stored["provenance"]))
-    except KeyError as error:
-        raise BadFile(path, f"not a table of learned filters: {error.args[0]}") from error
-    except (GpusimError, OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile,
-            zlib.error) as error:
-        raise BadFile(path, f"not a table of learned filters ({error})") from error
+    """Read a table. Raises BadFile and DoesNotFit."""
+    with open_archive(path) as stored, named(path):
+        detail = DETAIL if DETAIL[0] in stored else ()
+        numbers = (*ARRAYS, *CONTRAST, *detail, "filters")
+        stored.require((*TEXTS, *numbers, "box"))
+        for name, shape in TEXTS.items():
+            stored.shape(name, TEXT, wanted=shape)
+        for name in (*numbers, *stored.keys() & {"offsets"}):
+            stored.shape(name)
+        stored.shape("box", WHOLE, wanted=())
+        stored.require_memory(COPIES)
+        layout = Layout(mosaic=tuple(map(str, stored["mosaic"])), outputs=tuple(map(str, stored["outputs"])),
+                        domain=str(stored["domain"]), contrast=tuple(stored[name] for name in CONTRAST),
+                        detail=tuple(stored[name] for name in detail) or None, box=int(stored["box"]),
+                        **{name: stored[name] for name in ARRAYS})
+        return FilterTable(layout, stored["filters"], stored["offsets"] if "offsets" in stored else None,
+                           str(stored["provenance"]))

@@ -3,36 +3,27 @@
 Over the field: heights (H,) with psf (H, L, rows, cols), or grid_y (Y,), grid_x (X,) with psf (Y, X, L, rows, cols).
 """
 
-import zipfile
-import zlib
-from pathlib import Path
-
-import numpy as np
-
-from gpusim.domain.errors import BadData, BadFile, OutOfRange
+from gpusim.domain.errors import BadFile
 from gpusim.domain.psf import PointSpread
+from gpusim.io.archive import NUMBERS, open_archive
+from gpusim.io.files import named
+
+SHAPES = {"wavelengths_nm": (None,), "psf": None, "spacing_um": (), "integrated": (), "heights": (None,),
+          "grid_y": (None,), "grid_x": (None,)}  # None: any
+COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 
 def read_psf(path) -> PointSpread:
-    """Read a stack of point spreads, one per wavelength. Raises BadFile, naming the file and what is wrong with it."""
-    try:
-        with np.load(Path(path), allow_pickle=False) as archive:
-            missing = [key for key in ("wavelengths_nm", "psf", "spacing_um") if key not in archive]
-            if missing:
-                raise BadFile(path, f"lacks {', '.join(missing)}; it has {', '.join(archive.files) or 'nothing'}")
-            spacing = archive["spacing_um"].astype(np.float64)
-            if spacing.ndim:
-                raise BadFile(path, f"spacing_um: wanted one number, got shape {spacing.shape}")
-            integrated = bool(archive["integrated"]) if "integrated" in archive else False
-            heights = archive["heights"] if "heights" in archive else None
-            axes = [key for key in ("grid_y", "grid_x") if key in archive]
-            if len(axes) == 1:
-                raise BadFile(path, f"has {axes[0]} alone; wanted grid_y and grid_x")
-            return PointSpread(archive["wavelengths_nm"], archive["psf"], float(spacing) / 1e6, integrated, heights,
-                               tuple(archive[key] for key in axes) or None)
-    except OSError as error:
-        raise BadFile(path, error.strerror or str(error)) from None
-    except (ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise BadFile(path, f"not a NumPy archive of point spreads: {error}") from None
-    except (BadData, OutOfRange) as error:
-        raise BadFile(path, str(error)) from None
+    """Read a stack of point spreads, one per wavelength. Raises BadFile, naming file and problem, and DoesNotFit."""
+    with open_archive(path) as archive, named(path):
+        archive.require(("wavelengths_nm", "psf", "spacing_um"))
+        for key in SHAPES.keys() & archive.keys():
+            archive.shape(key, NUMBERS + "b" * (key == "integrated"), wanted=SHAPES[key])
+        axes = [key for key in ("grid_y", "grid_x") if key in archive]
+        if len(axes) == 1:
+            raise BadFile(path, f"has {axes[0]} alone; wanted grid_y and grid_x")
+        archive.require_memory(COPIES)
+        integrated = bool(archive["integrated"]) if "integrated" in archive else False
+        heights = archive["heights"] if "heights" in archive else None
+        return PointSpread(archive["wavelengths_nm"], archive["psf"], float(archive["spacing_um"]) / 1e6, integrated,
+                           heights, tuple(archive[key] for key in axes) or None)

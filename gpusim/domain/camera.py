@@ -39,7 +39,7 @@ class Camera:
         mosaic = "/".join(sensor.cfa)
         if processor.demosaic == "learned" and processor.table is not None:
             processor.table.layout.shift(sensor.cfa)  # UnknownName unless the table is for this mosaic
-            if processor.table.layout.outputs == ("X", "Y", "Z") and processor.estimates_white:
+            if processor.table.layout.gives_xyz and processor.estimates_white:
                 raise OutOfRange("processor.white_balance", f'"{processor.white_balance}" with filters that give XYZ',
                                  '"illuminant" or "none": they balance white already')
         elif not sensor.bayer_phase and processor.demosaic != "bilinear":

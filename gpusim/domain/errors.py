@@ -5,9 +5,37 @@ The command line prints `str(error)` on one line and exits with status 2; nothin
 
 import difflib
 
+LONGEST = 480  # letters of a message, so that "gpusim: " and a program's own words still fit on a line of 500
+LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters of what a message repeats from the input
+
+
+def one_line(text, longest: int = LONGEST) -> str:
+    """Return `text` as one line of at most `longest` letters that any terminal can show, its middle left out.
+
+    The beginning says what and where, the end what to do: of what is too long a third of the end is kept.
+    """
+    try:
+        text = str(text)
+    except (ValueError, RecursionError):  # a whole number of more than 4300 digits, a list that holds itself
+        text = f"a {type(text).__name__} too long to show"
+    if len(text) > 8 * longest:  # not all of a long build log has to be looked at
+        text = f"{text[:4 * longest]} {text[-4 * longest:]}"
+    text = " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
+    end = longest // 3
+    return text if len(text) <= longest else f"{text[:longest - end - 5]} ... {text[-end:]}"
+
+
+def shown(value) -> str:
+    """`value` as it is written in Python, in at most LONGEST_VALUE letters: what a message repeats from the input."""
+    return one_line(repr(value) if isinstance(value, str) else value, LONGEST_VALUE)
+
 
 class GpusimError(Exception):
-    """Base of every error that a user's input can cause."""
+    """Base of every error that a user's input can cause: one line. `details` is the text before it was shortened."""
+
+    def __init__(self, message=""):
+        self.details = str(message)
+        super().__init__(one_line(message))
 
 
 class OutOfRange(GpusimError):
@@ -17,25 +45,21 @@ class OutOfRange(GpusimError):
     """
 
     def __init__(self, key: str, value, allowed: str):
-        super().__init__(f"{key} = {value}: allowed is {allowed}")
+        super().__init__(f"{one_line(key, LONGEST_VALUE)} = {one_line(value, LONGEST_VALUE)}: allowed is {allowed}")
 
 
 class UnknownName(GpusimError):
     """A name that is not in the list of names, with the nearest one suggested."""
 
     def __init__(self, what: str, name: str, known):
-        known = sorted(known)
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        super().__init__(f"unknown {what} {name!r}{hint}; known: {', '.join(known)}" if not near
-                         else f"unknown {what} {name!r}{hint}")
+        super().__init__(f"unknown {one_line(what, LONGEST_PATH)} {shown(name)}{near(name, sorted(known))}")
 
 
 class BadFile(GpusimError):
     """A file that is missing, truncated or does not hold what it should: ``path: what is wrong``."""
 
     def __init__(self, path, problem: str):
-        super().__init__(f"{path}: {problem}")
+        super().__init__(f"{one_line(path, LONGEST_PATH)}: {problem}")
 
 
 class BadData(GpusimError):
@@ -54,6 +78,12 @@ class DeviceError(GpusimError):
     """A device that is missing, unusable or failed, with the reason the driver gave."""
 
 
+def near(name: str, known) -> str:
+    """Hint at the known name nearest to `name`, or list all: "; did you mean 'x'?" or "; known: x, y"."""
+    nearest = difflib.get_close_matches(name[:LONGEST_VALUE], known, n=1)
+    return f"; did you mean {nearest[0]!r}?" if nearest else f"; known: {', '.join(known)}"
+
+
 def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
     """Raise OutOfRange unless `good` holds for the field `key` of `part`, or it is None and that is its default."""
     value = getattr(part, key)
@@ -61,8 +91,8 @@ def check_range(owner: str, part, key: str, allowed: str, good, unit: str = ""):
         return
     try:
         right = good(value)
-    except (TypeError, ValueError):  # not of a kind that can be compared
-        right, value = False, repr(value)
+    except (TypeError, ValueError, OverflowError):  # not of a kind that can be compared
+        right, value = False, value if isinstance(value, int) else repr(value)
     if not right:
-        shown = f"{value:.6g}" if isinstance(value, float) else value
-        raise OutOfRange(f"{owner}.{key}", f"{shown} {unit}".rstrip(), allowed)
+        short = f"{value:.6g}" if isinstance(value, float) else one_line(value, LONGEST_VALUE)
+        raise OutOfRange(f"{owner}.{key}", f"{short} {unit}".rstrip(), allowed)

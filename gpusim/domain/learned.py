@@ -12,6 +12,7 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
 DOMAINS = ("root", "linear")
+XYZ = ("X", "Y", "Z")
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
 GRAIN = 4096  # of roots: sums of a few are exact in float32, in whatever order
 LARGEST_WEIGHT = 8  # sum of a contrast's absolute weights: contrasts of codes below 512 are exact in float32 then
@@ -27,6 +28,8 @@ class Code:
         Biometrika 35, 246-254; with read noise Murtagh, Starck & Bijaoui 1995, Astron. Astrophys. Suppl. 112, 179).
     black_level [DN]. scale: 1 / (white - black_level) [1/DN].
     noise: (gain [DN/e-], read [DN]): variance gain (DN - black_level) + read^2 [DN^2]; (0, 0) is no noise.
+    balance: (red, blue): what red and blue signals are multiplied by so that white is as strong in them as in green.
+        "root" alone: their codes, noise included, are larger by its root (see `factors`).
     Raises OutOfRange, UnknownName.
     """
 
@@ -34,8 +37,11 @@ class Code:
     black_level: float
     scale: float
     noise: tuple[float, float] = (0.0, 0.0)
+    balance: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self):
+        if self.domain == "linear" and self.balance != (1.0, 1.0):
+            raise OutOfRange("balance", self.balance, '(1, 1) in domain "linear": encoded data are balanced already')
         if self.domain not in DOMAINS:
             raise UnknownName("domain", self.domain, DOMAINS)
         if not 0 < self.scale < np.inf:
@@ -55,14 +61,25 @@ class Code:
         return 0.375 * gain + read**2 / gain if self.domain == "root" and gain else 0.0
 
     @property
+    def factors(self) -> dict[str, float]:
+        """What codes of red, green and blue are multiplied by; the largest is 1, so that sums of codes stay exact."""
+        red, blue = np.sqrt(self.balance)
+        most = max(red, blue, 1.0)
+        return {letter: float(np.float32(root / most)) for letter, root in (("R", red), ("G", 1.0), ("B", blue))}
+
+    @property
     def white(self) -> float:
         """Code of white."""
-        return float(self.encode(1 / self.scale))
+        return float(self.encode(1 / self.scale)) * self.factors["G"]
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the code relative to white; "linear": where the signal is a quarter of white."""
+        """Standard deviation of the code relative to white; "linear": where the signal is a quarter of white.
+
+        Of unlike channels, in the square mean over the pixels of a Bayer mosaic.
+        """
         gain, read = self.noise
+        gain = gain * (2 + sum(self.balance)) / 4 * self.factors["G"] ** 2
         deviation = np.sqrt(gain) / 2 if self.domain == "root" else np.hypot(np.sqrt(gain / self.scale / 4), read)
         return float(deviation / self.white)
 
@@ -73,13 +90,16 @@ class Code:
             return signal
         return np.copysign(np.sqrt(np.abs(signal + self.offset)), signal + self.offset) - np.sqrt(self.offset)
 
-    def measured(self, raw):
-        """Codes of digital numbers as all devices compute them: roots by float32, to a multiple of 1 / GRAIN."""
+    def measured(self, raw, factors=1.0):
+        """Codes of digital numbers as all devices compute them: roots by float32, to a multiple of 1 / GRAIN.
+
+        factors: of their pixels, see `factors`.
+        """
         if self.domain == "linear":
             return np.asarray(raw, np.float64) - self.black_level
         y = np.asarray(raw, np.float32) + np.float32(self.offset - self.black_level)
         code = np.copysign(np.sqrt(np.abs(y)), y) - np.float32(np.sqrt(self.offset))
-        return np.floor(np.float64(code) * GRAIN + 0.5) / GRAIN
+        return np.floor(np.float64(code * np.float32(factors)) * GRAIN + 0.5) / GRAIN
 
     def decode(self, code):
         """Signal above black [DN] of a code."""
@@ -156,7 +176,8 @@ class Layout:
             raise BadData(f"mosaic {self.mosaic}: wanted 1 to {LONGEST_PERIOD} texts of 1 to {LONGEST_PERIOD} letters")
         if self.taps.shape[1:] != (2,) or len(self.groups) != len(self.taps) or not len(self.taps):
             raise BadData(f"taps and groups: shapes {self.taps.shape} and {self.groups.shape}, wanted (T, 2) and (T,)")
-        if not np.array_equal(np.unique(self.groups), np.arange(self.groups.max() + 1)):
+        groups = set(self.groups.tolist())
+        if groups != set(range(len(groups))):
             raise BadData("groups: wanted every number from 0 to the largest")
         if not 0 < len(self.outputs) <= 8 or len(set(self.outputs)) != len(self.outputs):
             raise BadData(f"outputs {self.outputs}: wanted 1 to 8 different names")
@@ -201,6 +222,11 @@ class Layout:
     def channels(self) -> tuple[str, ...]:
         """Letters of the mosaic in the order of their first pixels."""
         return tuple(dict.fromkeys("".join(self.mosaic)))
+
+    @property
+    def gives_xyz(self) -> bool:
+        """Whether filters give CIE XYZ of surfaces in the target light, and not channels of the camera."""
+        return self.outputs == XYZ
 
     @property
     def alike(self) -> bool:

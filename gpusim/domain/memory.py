@@ -24,4 +24,4 @@ def require_memory(what: str, needed: int):
     """Raise DoesNotFit, with figures, when `needed` [byte] exceeds what this computer has."""
     available = host_memory()
     if needed > available:
-        raise DoesNotFit(what, needed, available, "this computer")
+        raise DoesNotFit(what, min(needed, 2**63), available, "this computer")

@@ -46,12 +46,12 @@ class PointSpread:
         if self.heights is not None and self.integrated:
             raise BadData("point spread: energies of pixels do not turn with the field, as square pixels do not; give "
                           "samples of the irradiance, or a grid of field points")
+        if wavelengths.ndim != 1 or not np.isfinite(wavelengths).all() or not (np.diff(wavelengths) > 0).all():
+            raise BadData(f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ...")
         wanted = (*map(len, axes), len(wavelengths))
         if values.ndim != len(wanted) + 2 or not values.size or values.shape[: len(wanted)] != wanted:
             raise BadData(f"point spread: wanted ({', '.join(map(str, wanted))}, rows, cols) for {len(wavelengths)} "
                           f"wavelengths, none of them 0, got shape {values.shape}")
-        if wavelengths.ndim != 1 or not np.isfinite(wavelengths).all() or not (np.diff(wavelengths) > 0).all():
-            raise BadData(f"point spread: wanted increasing wavelengths, got {wavelengths[:4]} ...")
         if not np.isfinite(values).all():
             raise BadData(f"point spread: {np.count_nonzero(~np.isfinite(values))} values are NaN or infinite")
         if values.min() < 0:

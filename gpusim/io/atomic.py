@@ -1,22 +1,19 @@
 """Files that are either complete or not there."""
 
 import os
+import stat
 import uuid
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile
 
 
 def check_output(path):
-    """Raise BadFile if a file of this name cannot be: no such folder, or a folder itself. None is no output."""
-    if path is None:
-        return
-    folder = Path(path).absolute().parent
-    if not folder.is_dir():
-        raise BadFile(path, f"the folder {folder} does not exist")
-    if Path(path).is_dir():
-        raise BadFile(path, "is a folder")
+    """Raise BadFile unless a file of this name can be written: an empty one is made beside it. None is no output."""
+    if path is not None:
+        with _writing(path) as temporary:
+            temporary.touch(exist_ok=False)
 
 
 @contextmanager
@@ -24,15 +21,39 @@ def atomic_path(path):
     """Yield a temporary path beside `path`, with the same suffix; it takes the name `path` when the block succeeds.
 
     When the block fails the temporary file is removed and an existing `path` is left as it was. Raises BadFile when the
-    folder is missing or cannot be written to.
+    folder is missing or cannot be written to, the disk is full, or `path` is a folder, a device or a pipe.
     """
-    check_output(path)
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
+    with _writing(path) as temporary:
         yield temporary
         os.replace(temporary, path)
+
+
+@contextmanager
+def _writing(path):
+    """Yield the name of a temporary file, which is removed; what the system refuses is a BadFile."""
+    path = Path(path)
+    try:
+        kind = _kind(path)
+        if kind:  # as root one could even replace /dev/null
+            raise BadFile(path, f"is {kind}; wanted the name of a file")
+        if not path.absolute().parent.is_dir():
+            raise BadFile(path, f"the folder {path.absolute().parent} does not exist")
+        temporary = path.with_name(f".gpusim-{uuid.uuid4().hex[:8]}{path.suffix[:8]}")  # no longer than names may be
+        try:
+            yield temporary
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
     except OSError as error:
         raise BadFile(path, f"cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+
+
+def _kind(path):
+    """What is at `path` if it is not a file that can be replaced."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return None
+    except ValueError:
+        raise BadFile(path, "no file can have this name") from None
+    return "a folder" if stat.S_ISDIR(mode) else None if stat.S_ISREG(mode) else "a device or a pipe"

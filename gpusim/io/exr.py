@@ -3,6 +3,7 @@
 Layout of spectral files: Fichet, Pacanowski & Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021.
 """
 
+import math
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from gpusim.domain.errors import BadData, BadFile, UnknownName
 from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
 from gpusim.io.atomic import atomic_path
+from gpusim.io.files import open_file, reading
 
 BAND = re.compile(r"(S0|T)\.(\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?)nm")
 SPECTRAL = re.compile(r"(S0|T)\.\d")  # meant to be a band, whether or not its name can be read
@@ -35,23 +37,21 @@ def read_exr(path, bands=None) -> tuple[str, np.ndarray | None, np.ndarray]:
     import OpenEXR
 
     path = Path(path)
-    if not path.is_file():
-        raise BadFile(path, "no such file")
-    try:
-        header = OpenEXR.File(str(path), separate_channels=True, header_only=True).header()
-        (left, top), (right, bottom) = (corner.tolist() for corner in header["dataWindow"])
-        names = [channel.name for channel in header["channels"]]
-    except (RuntimeError, ValueError, KeyError) as error:
-        raise BadFile(path, "not an OpenEXR file, or truncated") from error
+    open_file(path).close()  # OpenEXR opens it once more, by its name
+    with reading(path, "an OpenEXR file"):
+        parts = [part.header for part in OpenEXR.File(str(path), separate_channels=True, header_only=True).parts]
+        sizes = [_size(header) for header in parts]
+        names = [channel.name for channel in parts[0]["channels"]]
+        deep = any("deep" in str(header.get("type")) for header in parts)
+    if deep:
+        raise BadFile(path, "deep data (several samples in a pixel); wanted a flat picture")
     kind, chosen = _choose(path, names, bands or {})
-    cols, rows = right - left + 1, bottom - top + 1
-    # All channels are read, at worst as 4-byte numbers, and copied into the cube.
-    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels",
-                   4 * (len(names) + len(chosen)) * rows * cols)
-    try:
+    rows, cols = sizes[0]
+    # Every channel of every part is read, at worst as 4-byte numbers, and what was chosen is copied into the cube.
+    stored = sum(len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True))
+    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", 4 * (stored + len(chosen) * rows * cols))
+    with reading(path, "an OpenEXR file whose pixels can be read"):
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    except (RuntimeError, ValueError, MemoryError) as error:
-        raise BadFile(path, "truncated or damaged: its pixels cannot be read") from error
     values = np.empty((len(chosen), rows, cols), np.float32)
     for plane, (name, nm) in zip(values, chosen, strict=True):
         pixels = channels[name].pixels
@@ -67,6 +67,12 @@ def read_exr(path, bands=None) -> tuple[str, np.ndarray | None, np.ndarray]:
         if kind == "radiance":
             plane *= nm * 1e-9 / (PLANCK * LIGHT_SPEED)
     return kind, None if kind == "rgb" else np.array([nm for _, nm in chosen]), values
+
+
+def _size(header):
+    """Rows and columns of a part."""
+    (left, top), (right, bottom) = (corner.tolist() for corner in header["dataWindow"])
+    return bottom - top + 1, right - left + 1
 
 
 def _choose(path, names, bands):
@@ -149,4 +155,8 @@ def _write(path, channels, **attributes):
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
     with atomic_path(path) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+            OpenEXR.File(str(temporary))  # what does not fit the disk as the file is closed is lost without a word
+        except (RuntimeError, ValueError) as error:
+            raise OSError(f"the disk may be full ({error})") from error

@@ -36,7 +36,7 @@ def check_format(path, camera):
         raise OutOfRange("raw values for a .dng output", shown,
                          "digital numbers of a Bayer mosaic or a monochrome sensor; .npz holds any")
     table = camera.processor.table
-    if table is not None and table.layout.outputs == ("X", "Y", "Z"):
+    if table is not None and table.layout.gives_xyz:
         raise OutOfRange("processor.table with a .dng output", "filters that give XYZ", "those that give the camera's "
                          "channels: a raw converter needs their colour matrix")
     if not sensor.is_monochrome and camera.processor.color == "none":

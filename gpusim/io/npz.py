@@ -16,18 +16,18 @@ Also read are archives made from ISETCam's scenes, whose arrays are pixel-major:
 order of the axes, never their lengths.
 """
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
-from gpusim.domain.memory import require_memory
+from gpusim.domain.errors import BadFile, shown
 from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.archive import NUMBERS, TEXT, open_archive
 from gpusim.io.atomic import atomic_path
+from gpusim.io.files import named
 
+COPIES = 1.0  # of the numbers: as float32, and divided by the light
 FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says what an archive holds
 
 
@@ -60,21 +60,9 @@ def read_npz(path, white: Spectrum) -> Scene:
     white: radiance of white [photon s-1 m-2 sr-1 nm-1] for an archive of reflectances that does not know its light.
     Raises BadFile, naming file and key, and DoesNotFit.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise BadFile(path, "no such file")
-    try:
-        with np.load(path) as stored:
-            # As stored, and once more as float32.
-            require_memory(str(path), 2 * sum(member.file_size for member in stored.zip.infolist()))
-            return _Archive(path, stored).scene(white)
-    except BadFile:
-        raise
-    except (BadData, OutOfRange, UnknownName) as error:
-        raise BadFile(path, str(error)) from error
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile,
-            zlib.error) as error:
-        raise BadFile(path, f"not an .npz archive of plain arrays, or truncated ({error})") from error
+    with open_archive(path) as stored, named(path):
+        stored.require_memory(COPIES)
+        return _Archive(Path(path), stored).scene(white)
 
 
 class _Archive:
@@ -85,15 +73,8 @@ class _Archive:
 
     def array(self, key, *shape, negative=False):
         """Return finite numbers under `key`; None in `shape` stands for any length."""
-        if key not in self.stored:
-            raise BadFile(self.path, f"key {key!r} is missing")
+        self.stored.shape(key, wanted=shape)
         array = self.stored[key]
-        if array.dtype.kind not in "uif":
-            raise BadFile(self.path, f"{key}: {array.dtype}, wanted real numbers")
-        fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-        if not fits or array.size == 0:
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise BadFile(self.path, f"{key}: shape {array.shape}, wanted ({wanted})")
         low, high = float(array.min()), float(array.max())
         if not np.isfinite([low, high]).all():
             raise BadFile(self.path, f"{key}: NaN or infinite values")
@@ -104,18 +85,21 @@ class _Archive:
     def planes(self, key, *shape, pixel_major=False, negative=False):
         """Return an image stack under `key` as float32, band-major."""
         array = self.array(key, *shape, negative=negative)
-        if float(np.abs(array).max()) > float(np.finfo(np.float32).max):
-            raise BadFile(self.path, f"{key}: values up to {float(np.abs(array).max()):.3g}, more than float32 holds")
+        largest = max(float(array.max()), -float(array.min()))
+        if largest > float(np.finfo(np.float32).max):
+            raise BadFile(self.path, f"{key}: values up to {largest:.3g}, more than float32 holds")
         return np.ascontiguousarray(np.moveaxis(array, -1, 0) if pixel_major else array, np.float32)
 
     def single(self, key, default):
         """Return one value under `key`, of the type of `default`."""
         if key not in self.stored:
             return default
+        self.stored.shape(key, TEXT if type(default) is str else NUMBERS, wanted=())
+        value = self.stored[key].item()
         try:
-            return type(default)(self.stored[key].item())
-        except ValueError:
-            raise BadFile(self.path, f"{key}: wanted one {type(default).__name__}, got {self.stored[key]!r}") from None
+            return type(default)(value)
+        except (ValueError, OverflowError):  # not a number, or infinite, where a whole one is wanted
+            raise BadFile(self.path, f"{key}: wanted one {type(default).__name__}, got {shown(value)}") from None
 
     def scene(self, white):
         """Return what the archive holds as a scene."""

@@ -1,10 +1,9 @@
 """Photographs as scenes: sRGB pictures lifted to spectra."""
 
+import dataclasses
 import io
-import struct
 import warnings
 import zlib
-from pathlib import Path
 
 import numpy as np
 
@@ -12,10 +11,13 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Basis, Materials
+from gpusim.io.files import file_size, named, open_file, reading
+from gpusim.io.png import CHANNELS, png, read_lines
 
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # PNG colour types without a palette: channels
 ALPHA = {2, 4}  # numbers of channels of which the last is alpha
+# Of a JPEG: each block of 8 x 8 has a bit at least (its mean; ITU-T T.81, F.1.2 and G.1.2), and the samples of at least
+# one component are as many as a quarter of the pixels. libjpeg makes up what is missing.
+PIXELS_PER_BYTE = 8 * 64 * 4
 BYTES_PER_PIXEL = 64  # four float64 channels, the picture itself and the coefficients
 
 
@@ -26,21 +28,17 @@ def read_photo(path) -> Basis | Materials:
     EXIF orientation says. Where it is transparent there is darkness behind it.
     Colour: `lift`ed; grey: one neutral material and its shading. Raises BadFile and DoesNotFit.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise BadFile(path, "no such file")
-    try:
-        samples = _decode(path)
-    except (OSError, SyntaxError, ValueError, IndexError, struct.error, zlib.error, MemoryError) as error:
-        raise BadFile(path, "not a PNG or JPEG, or truncated") from error
-    linear = linear_from_srgb(samples[..., :3] if samples.shape[-1] > 2 else samples[..., :1])
-    if samples.shape[-1] in ALPHA:
-        linear *= samples[..., -1:]
-    if linear.shape[-1] == 1:
-        shading = linear[..., 0].astype(np.float32)
-        wavelengths = srgb_primaries().wavelengths
-        return Materials(wavelengths, np.zeros(shading.shape, np.uint8), shading, np.ones((1, len(wavelengths))))
-    return lift(np.moveaxis(linear, -1, 0))
+    with named(path):
+        samples = read_samples(path)
+        white = np.iinfo(samples.dtype).max
+        linear = linear_from_srgb(np.arange(white + 1) / white)[samples[..., :3 if samples.shape[-1] > 2 else 1]]
+        if samples.shape[-1] in ALPHA:
+            linear *= samples[..., -1:] / white
+        if linear.shape[-1] == 1:
+            shading = linear[..., 0].astype(np.float32)
+            wavelengths = srgb_primaries().wavelengths
+            return Materials(wavelengths, np.zeros(shading.shape, np.uint8), shading, np.ones((1, len(wavelengths))))
+        return lift(np.moveaxis(linear, -1, 0))
 
 
 def lift(linear) -> Basis:
@@ -58,33 +56,52 @@ def linear_from_srgb(values) -> np.ndarray:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-def _decode(path):
-    """Return samples 0 .. 1, shape (rows, cols, channels): 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, alpha)."""
-    from PIL import Image, ImageOps
+def read_samples(path) -> np.ndarray:
+    """Samples of a PNG or JPEG, uint8 or uint16, shape (rows, cols, channels).
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked against memory below
+    Channels: 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, alpha). Raises BadFile and DoesNotFit.
+    """
+    from PIL import Image
+
+    with open_file(path) as file, reading(path, "a PNG or JPEG"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of large pictures: they are checked against memory below; of EXIF data
+        require_memory(f"{path}: a file", file_size(file))
+        data = file.read()
         try:
-            image = Image.open(path, formats=("PNG", "JPEG"))
+            image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
         except Image.DecompressionBombError as error:
             raise BadFile(path, f"too large: {error}") from error
-    with image:
         cols, rows = image.size
+        if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
+            raise BadFile(path, f"truncated or damaged: a JPEG of {cols} x {rows} pixels takes more than {len(data)} "
+                                "bytes")
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
-        if image.format == "PNG" and path.read_bytes()[24] == 16:
-            return _decode_png16(path)
-        image = ImageOps.exif_transpose(image)
-        if image.mode == "P" or "transparency" in image.info:
-            image = image.convert("RGBA")
-        elif image.mode == "1":
-            image = image.convert("L")
-        if image.mode not in ("L", "LA", "RGB", "RGBA"):
-            raise BadFile(path, f"colour mode {image.mode}; wanted grey or RGB, with or without alpha")
-        samples = np.asarray(image) / 255
+        samples = _decode(path, data, image)
     return samples if samples.ndim == 3 else samples[..., None]
 
 
-def _decode_png16(path):
+def _decode(path, data, image):
+    """Samples of a picture that Pillow has opened but not decoded."""
+    from PIL import ImageOps
+
+    if image.format == "PNG":
+        deep = data[24] == 16
+        if deep and data[28]:
+            raise BadFile(path, "an interlaced PNG of 16 bits; save it without interlacing")
+        header, lines = read_lines(path, data, keep=deep)
+        if deep:
+            return _decode_png16(header, lines)
+    image = ImageOps.exif_transpose(image)
+    if image.mode == "P" or "transparency" in image.info:
+        image = image.convert("RGBA")
+    elif image.mode == "1":
+        image = image.convert("L")
+    if image.mode not in ("L", "LA", "RGB", "RGBA"):
+        raise BadFile(path, f"colour mode {image.mode}; wanted grey or RGB, with or without alpha")
+    return np.asarray(image)
+
+
+def _decode_png16(header, lines):
     """Decode a PNG of 16 bits per channel, of which Pillow would drop the lower 8.
 
     PNG predicts each byte from the same byte of neighbouring pixels. So the high bytes alone, with the same filter
@@ -92,24 +109,8 @@ def _decode_png16(path):
     """
     from PIL import Image
 
-    data = path.read_bytes()
-    chunks, position = [], len(PNG_SIGNATURE)
-    while position < len(data):
-        length, kind = struct.unpack_from(">I4s", data, position)
-        chunks.append((kind, data[position + 8:position + 8 + length]))
-        position += length + 12
-    cols, rows, _, colour, _, _, interlaced = struct.unpack(">IIBBBBB", chunks[0][1])
-    if interlaced:
-        raise BadFile(path, "an interlaced PNG of 16 bits; save it without interlacing")
-    filtered = zlib.decompress(b"".join(body for kind, body in chunks if kind == b"IDAT"))
-    lines = np.frombuffer(filtered, np.uint8).reshape(rows, 1 + 2 * cols * CHANNELS[colour])
-    halves = []
-    for first in (1, 2):
-        half = zlib.compress(np.hstack([lines[:, :1], lines[:, first::2]]).tobytes(), 1)
-        header = struct.pack(">IIBBBBB", cols, rows, 8, colour, 0, 0, 0)
-        parts = [(b"IHDR", header), (b"IDAT", half), (b"IEND", b"")]
-        png = PNG_SIGNATURE + b"".join(struct.pack(">I", len(body)) + kind + body
-                                       + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in parts)
-        halves.append(np.asarray(Image.open(io.BytesIO(png)), np.float64))
-    samples = (256 * halves[0] + halves[1]) / 65535
-    return samples if samples.ndim == 3 else samples[..., None]
+    rows = np.frombuffer(lines, np.uint8).reshape(header.rows, 1 + 2 * header.cols * CHANNELS[header.colour])
+    small = dataclasses.replace(header, bits=8)
+    high, low = (np.asarray(Image.open(io.BytesIO(png(small, zlib.compress(np.hstack([rows[:, :1], half]), 1)))))
+                 for half in (rows[:, 1::2], rows[:, 2::2]))
+    return high.astype(np.uint16) * 256 + low

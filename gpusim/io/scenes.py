@@ -8,10 +8,11 @@ import numpy as np
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.exr import read_exr
+from gpusim.io.files import named
 from gpusim.io.npz import read_npz
 from gpusim.io.photo import lift, read_photo
 
@@ -64,10 +65,8 @@ def _read(path, white, bands):
             illuminated = unit_light(wavelengths)
     else:
         content = read_photo(path)
-    try:
+    with named(path):
         return Scene(content, illuminated, name=path.stem)
-    except (BadData, OutOfRange) as error:
-        raise BadFile(path, str(error)) from error
 
 
 def _relit(path, scene, light, luminance):

@@ -41,13 +41,15 @@ def train_l3(arguments) -> int:
     from gpusim.data.cameras import open_camera
     from gpusim.data.learned import write_table
     from gpusim.domain.errors import OutOfRange
-    from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.io.atomic import check_output
     from gpusim.io.scenes import open_scene
     from gpusim.l3.train import GENERATED, train, training_camera
 
     check_output(arguments.out)
     if not str(arguments.out).endswith(".npz"):
         raise OutOfRange("--out", arguments.out, "a name that ends in .npz")
+    if arguments.seed < 0:
+        raise OutOfRange("--seed", arguments.seed, "0 or more")
     camera = open_camera(arguments.camera)
     training_camera(camera)
     scenes = [open_scene(name, light=arguments.light) for name in arguments.scenes]
@@ -55,8 +57,7 @@ def train_l3(arguments) -> int:
     table = train(camera, scenes, light=arguments.light, luminances=arguments.luminance, generated=generated,
                   outputs=arguments.outputs, seed=arguments.seed, device=arguments.device,
                   progress=lambda frames: tqdm(frames, unit="frame", disable=None))
-    with atomic_path(arguments.out) as temporary:
-        write_table(temporary, table)
+    write_table(arguments.out, table)
     made = table.layout
     levels, positions, classes, _, weights = made.shape[1:]
     print(f"{arguments.out}: {'/'.join(made.mosaic)} to {''.join(made.outputs)}; {levels} levels x {positions} "

@@ -14,7 +14,9 @@ import numpy as np
 
 from gpusim import __version__
 from gpusim.data.learned import write_table
+from gpusim.domain.errors import BadFile
 from gpusim.domain.learned import Code, FilterTable
+from gpusim.io.photo import read_samples
 from gpusim.l3.fit import NormalEquations
 from gpusim.l3.layout import layout
 
@@ -53,14 +55,20 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
 
 def train(folders, path):
     """Write the table trained on all .png photographs of some folders; half of each folder's come with seed 1, 2."""
-    from PIL import Image
-
     pictures = [sorted(Path(folder).glob("*.png")) for folder in folders]
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     for half in (0, 1):
-        some = (np.asarray(Image.open(file).convert("RGB")) for files in pictures for file in files[half::2])
+        some = (_rgb(file) for files in pictures for file in files[half::2])
         found.merge(equations(some, seed=1 + half))
     write_table(path, table(found, provenance([file.stem for files in pictures for file in files])))
+
+
+def _rgb(file):
+    """Three channels of a photograph, 0 .. 255."""
+    samples = read_samples(file)
+    if samples.shape[-1] != 3 or samples.dtype != np.uint8:
+        raise BadFile(file, f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB")
+    return samples
 
 
 def provenance(names) -> str:

@@ -16,15 +16,14 @@ from gpusim.data.lights import illuminant
 from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.domain.learned import XYZ, Code, FilterTable, Layout
 from gpusim.domain.scene import Scene
-from gpusim.domain.spectrum import Spectrum
 from gpusim.l3.fit import NormalEquations
 from gpusim.l3.layout import layout
 from gpusim.l3.scenes import training_scenes
 from gpusim.measure.ideal import pixel_sums
 from gpusim.planner.color import color_matrix
-from gpusim.planner.rendering import through
+from gpusim.planner.rendering import efficiency
 from gpusim.planner.weights import product_weights
 from gpusim.scheduler import Simulator
 
@@ -69,7 +68,7 @@ def train(camera: Camera, scenes=(), *, light: str = "D65", luminances=None, gen
     sound = training_camera(camera)
     scenes = [*training_scenes(generated, light=light, seed=seed), *scenes] if generated else list(scenes)
     _check_scenes(scenes)
-    letters, matrix = colorimetric_channels(sound, light) if outputs == "channels" else (("X", "Y", "Z"), np.eye(3))
+    letters, matrix = colorimetric_channels(sound, light) if outputs == "channels" else (XYZ, np.eye(3))
     code = frame_code(sound)
     lowest, highest, strengths = _strengths(sound, light, luminances, len(scenes), seed)
     chosen = training_layout(sound.sensor.cfa, letters, code, lowest)
@@ -180,9 +179,7 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
     method = "white-preserving" if processor.color == "none" else processor.color
-    rows = [sensor.channels.index(letter) for letter in letters]
-    qe = through(camera.optics, Spectrum(sensor.qe.wavelengths, sensor.qe.values[rows], sensor.qe.name))
-    transform = color_matrix(qe, light, processor.training, method=method,
+    transform = color_matrix(efficiency(camera, letters), light, processor.training, method=method,
                              target_light=processor.target, channels=letters)
     return letters, np.linalg.inv(transform.xyz)
 

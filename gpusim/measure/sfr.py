@@ -11,6 +11,7 @@ LEAST = 10  # rows and columns of a picture, and twice the pixels on each side o
 FREQUENCIES = np.linspace(0, 1, 201)  # [cycle/pixel]
 PASSES = 4  # of the fit: each centres the windows on the line of the one before
 SIGNIFICANT = 5.0  # standard errors that the step must have
+MOST_ERROR = 0.1  # of the response: what is refused beyond would change MTF50 by a tenth
 INSIDE = 0.75  # part of the step that must lie in the inner half of what is read; a ramp has a half there
 
 
@@ -19,7 +20,8 @@ class EdgeResponse:
     """What `sfr` found, F frequencies and, for several planes, one row to each of the C planes.
 
     frequencies: along the edge's normal [cycle/pixel], shape (F,). response: SFR [1], 1 at frequency 0, shape (F,) or
-    (C, F). angle: between edge and pixel columns, or pixel rows if it is nearer to these [rad], shape () or (C,).
+    (C, F). error: estimate of the response's error up to 0.5 cycle/pixel because the picture ends, shape () or (C,).
+    angle: between edge and pixel columns, or pixel rows if it is nearer to these [rad], shape () or (C,).
     per_mm: `frequencies` on the sensor [cycle/mm], shape (F,); None without the pitch.
     """
 
@@ -27,6 +29,7 @@ class EdgeResponse:
     response: np.ndarray
     angle: np.ndarray
     per_mm: np.ndarray | None = None
+    error: np.ndarray | None = None
 
 
 def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> EdgeResponse:
@@ -37,7 +40,7 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     limits: lowest and highest value that can occur; a picture that reaches one is clipped and refused. Integers have
         those of their type unless given. order: of the polynomial fitted to the edge, 1 or 2, if the lens distorts.
     Returns EdgeResponse. Raises BadData (not finite, too small, clipped, no edge, an edge along the pixels, at 45
-    degrees, or too near the border), OutOfRange.
+    degrees, too near the border, or a blur that does not fit), OutOfRange.
 
     Source: ISO 12233:2014, e-SFR; Burns, "Slanted-edge MTF for digital camera and scanner analysis" (PICS 2000). The
     edge is a polynomial through the centroids of the rows' differences; whole periods of its phase among the pixels are
@@ -47,7 +50,9 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     difference's alone, which leaves 2.6 % at 0.5 cycle/pixel.)
     Up to 0.5 cycle/pixel the response of exact edges errs by 1e-3 (5 degrees, 160 rows), by 4e-3 from 100 rows on at
     angles whose phases nearly repeat. A diffraction-limited lens spreads light beyond what is read: the response is too
-    high by a part of 11 q / (pi^3 reach), q = wavelength times f-number over pitch, reach [pixel] on each side.
+    high by a part of 11 q / (pi^3 reach), q = wavelength times f-number over pitch, reach [pixel] on each side. `error`
+    is what half the reach changes: as much as a tail that falls as 1 / reach is still wrong by, and three times the
+    window's effect on a blur that fits (1 / reach^2); noise adds to it.
     """
     values, planes = _checked(image, limits)
     if pitch is not None and not 0 < pitch < np.inf:
@@ -55,10 +60,10 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     if order not in (1, 2):
         raise OutOfRange("order", order, "1 or 2")
     found = [_response(plane, order) for plane in planes]
-    response, angle = (np.array(part).reshape((*values.shape[:-2], *np.shape(part[0])))
-                       for part in zip(*found, strict=True))
+    response, angle, error = (np.array(part).reshape((*values.shape[:-2], *np.shape(part[0])))
+                              for part in zip(*found, strict=True))
     per_mm = None if pitch is None else FREQUENCIES / (pitch * 1e3)
-    return EdgeResponse(FREQUENCIES.copy(), response, angle, per_mm)
+    return EdgeResponse(FREQUENCIES.copy(), response, angle, per_mm, error)
 
 
 def mtf50(measured: EdgeResponse, level: float = 0.5):
@@ -128,9 +133,19 @@ def _response(plane, order):
     inner = np.interp([-reach / 2, reach / 2], place, spread)
     if np.diff(inner)[0] < INSIDE * (spread[-1] - spread[0]):
         raise BadData("sfr: no edge, or one too blurred for the picture: values still change at the borders")
-    line *= 0.54 + 0.46 * np.cos(np.pi * middle * BINS / read)
+    response, narrower = (_transform(line, middle, width) for width in (read / BINS, read / BINS / 2))
+    error = float(np.abs(narrower - response)[FREQUENCIES <= 0.5].max())
+    if error > MOST_ERROR:
+        raise BadData(f"sfr: the blur does not fit: half of the {reach:.3g} pixels read on each side of the edge give "
+                      f"a response that differs by {error:.2g}, wanted {MOST_ERROR:g} or less: a larger picture")
+    return response, np.arctan(abs(fit.deriv()(rows.mean()))), error
+
+
+def _transform(line, middle, reach):
+    """Response of a line spread at the places `middle` [pixel], windowed to `reach` on each side."""
+    line = np.where(np.abs(middle) <= reach, line * (0.54 + 0.46 * np.cos(np.pi * middle / reach)), 0)
     response = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * middle) @ line) / line.sum()
-    return response / np.sinc(FREQUENCIES / BINS) ** 2, np.arctan(abs(fit.deriv()(rows.mean())))
+    return response / np.sinc(FREQUENCIES / BINS) ** 2
 
 
 def _standing(plane):

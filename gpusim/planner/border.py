@@ -1,39 +1,211 @@
-"""How much of the world around the frame takes part in the blur, and what the rest costs.
+"""The world outside the frame: what its far parts add to the blur, and how much of it takes part.
 
-Beyond the surroundings a transform repeats itself: what falls into the frame from there is not what the border rule
-says but what is on the other side. Of a line of light at distance d an Airy pattern brings 2 q / (pi^3 d) across it,
-q the wavelength times the f-number over the pixel: the integral of its envelope q / (pi^3 r^3) over a half-plane.
+A transform repeats itself: beyond its period is not what the border rule says but the picture again. How much light
+that makes wrong is told without any lens but its tail. The rim of a pupil of any shape and wavefront spreads, in the
+mean over directions and rings, the energy
+
+    perimeter / (2 pi^3 area) q / r^3   per square sample at the distance r
+
+(the cusp of the transfer function at 0, whose slope is twice the mean width of the pupil over its area, transformed;
+Cauchy's mean width of an outline is its perimeter over pi). For a circle that is q / (pi^3 r^3). From far away such
+light is smooth, so a coarse grid is enough for it.
 """
 
-from math import hypot, pi, sqrt
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
 
-CONTRAST = 0.5  # difference of far parts of a picture over its root mean square level; 0.3 .. 0.6 in photographs
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.sparse import csr_array
+from scipy.special import j1
+
+from gpusim.domain.optics import Optics
+from gpusim.domain.tolerance import Tolerance
+
 SHARE = 0.6  # of a tolerance that the border may take
+# Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
+MOST_SAMPLES, MOST_TIMES = 2**22, 14
+CELLS, LEAST_CELLS = 4, 64  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
+PROBED = 128  # samples along an axis at which it is predicted
+# A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
+# picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
+POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
+SPIKY = 10.0  # maximum over root mean square from which on a blur changes the latter
+GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
 
 
-def border_error(reach, shape, q) -> tuple[float, float]:
-    """Relative RMS error of the frame, and relative error at its corner.
+def tail_of(optics: Optics) -> float:
+    """Energy per square sample times r^3 / q, far from a point; 0 of point spreads that are given, which end."""
+    if optics.psf is not None:
+        return 0.0
+    pupil = optics.pupil
+    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades) if pupil.blades else 2 * np.pi
+    return float((outline + 2 * np.pi * pupil.obscuration) / (np.pi * pupil.area) / (2 * np.pi**3))
 
-    reach: pixels of surroundings. shape: (rows, cols). q: wavelength times f-number over pixel pitch.
+
+def rule_of(border: str) -> str:
+    """The rule by which what is outermost goes on; that of a scene's own surroundings is "edge"."""
+    return "edge" if border == "scene" else border
+
+
+def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5)) -> np.ndarray:
+    """What a world without end adds to what a transform sees, at the cells of a coarse grid.
+
+    image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
+    middle [sample]. border: "zero", "edge" or "reflect". cell: about the side of a cell [sample]. tail: energy of a
+    point per square sample times r^3. disc: radius of an even disc of energy 1 beside it [sample]; none of 0.
+    times: periods that the worlds span from which the one without end is extrapolated, odd.
+    Returns the cells of one period; `at_samples` interpolates between them.
     """
-    spread = CONTRAST * 2 * q / pi**3
-    # the mean over the n pixels of an axis of (spread / distance to either end of the surroundings)^2
-    sides = [spread * sqrt(2 * (1 / reach - 1 / (reach + n)) / n) for n in shape]
-    return hypot(*sides), 2 * spread / reach
+    powers = POWERS[border]
+    times = times[-len(powers) - 1 :]
+    cells = [max(1, round(length / cell)) for length in period]
+    steps = [length / count for length, count in zip(period, cells, strict=True)]
+
+    widest = max(times)
+    down, across = (_means(n, length, count, border, widest).astype(image.dtype)
+                    for n, length, count in zip(image.shape, period, cells, strict=True))
+    world = (across @ (down @ image).T).T
+
+    def blurred(wide):
+        """The middle period of a world that repeats itself after `wide` of them."""
+        around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
+        part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
+        fy, fx = (frequencies(wide * count) / step for frequencies, count, step in
+                  zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
+        spectrum = np.fft.rfft2(part) * _kernel(np.hypot(fy[:, None], fx), max(steps), tail, disc)
+        y, x = middle
+        return np.fft.irfft2(spectrum, part.shape)[y : y + cells[0], x : x + cells[1]]
+
+    worlds = {wide: blurred(wide) for wide in {1, *times}}
+    columns = np.array(times, float)[:, None] ** -np.array((0.0, *powers))
+    weights = np.linalg.solve(columns.T, np.eye(len(times))[0])
+    return sum(weight * worlds[wide] for weight, wide in zip(weights, times, strict=True)) - worlds[1]
 
 
-def enough_reach(reach, shape, q, tolerance, level) -> int:
-    """Pixels of surroundings, `reach` or as many more as keep SHARE of the tolerance, at most the frame's longer side.
+def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
+    """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
+    places = [((length - n) // 2 + at + 0.5) * count / length - 0.5
+              for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)]
+    return map_coordinates(coarse, np.meshgrid(*places, indexing="ij"), order=3, mode="grid-wrap")
 
-    level: electrons of the frame's root mean square.
+
+def blurred_level(image, q: float, margin: int) -> float:
+    """Root mean square of the frame as a lens shows it; a Gaussian stands for the lens where a few pixels tell it all.
+
+    0.42 q: the standard deviation of the Gaussian that is as the middle of an Airy pattern.
     """
-    def keeps(reach):
-        rms, corner = border_error(reach, shape, q)
-        bounds = ((rms, tolerance.rms), (corner * sqrt(level), tolerance.p999_sigma),
-                  (corner * sqrt(level), tolerance.max_sigma))
-        return all(error <= SHARE * bound for error, bound in bounds if bound is not None)
+    inside = _inside(image, margin)
+    level = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size)
+    if inside.max(initial=0) <= SPIKY * level:
+        return level
+    return sqrt(np.square(gaussian_filter(inside, 0.42 * q), dtype=np.float64).mean())
 
-    most = max(max(shape), reach)
-    while reach < most and not keeps(reach):
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """What is known of a scene when it is asked how much of the world around it takes part in the blur.
+
+    image: light of the frame, or of frame and margin, without the highlights that are added one by one, shape (rows,
+    cols). border, margin: the scene's. tail: energy of a point per square sample times r^3. spread: radius within which
+    its rays meet the image [sample]. level: root mean square of the frame. noise: variance of the read noise over the
+    electrons at that level. missing: light that every sample is known to lack.
+    """
+
+    image: np.ndarray
+    border: str
+    margin: int
+    tail: float
+    spread: float
+    level: float
+    noise: float
+    missing: float = 0.0
+
+    def error(self, period, reach: float) -> tuple[float, float, float]:
+        """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
+
+        period: of the transform. reach: samples around the image that are as the border says. The last two figures
+        times the root of the electrons at the level are in sigma.
+        Each point of the rim spreads light about where its ray lands, a distance b away in the mean over the rim: the
+        tail is (r^2 + b^2) / (r (r^2 - b^2)^2) in place of r^-3. Where b comes near the reach, a disc stands for what
+        is within.
+        """
+        if not (self.level > 0 and self.tail):
+            return 0.0, 0.0, 0.0
+        margin, light = self.margin, self.image
+        near = min(self.spread / reach, GEOMETRIC) ** 2
+        disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
+        cell = max(min(reach / CELLS, max(period) / LEAST_CELLS), 1)
+        coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc)
+        rows, cols = (np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
+                      for n in light.shape)
+        error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
+        sigmas = error / np.sqrt(np.maximum(light[np.ix_(rows, cols)].astype(np.float64) / self.level, 0) + self.noise)
+        return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
+
+
+def enough_reach(first: int, most: int, predicted: Callable, tolerance: Tolerance, level: float) -> int:
+    """Samples of surroundings, `first` or as many more, up to `most`, as keep SHARE of the tolerance.
+
+    predicted: function of the reach that gives what `Outside.error` does. level: electrons of the frame's root mean
+    square.
+    """
+    reach = first
+    while reach < most and _worst(predicted(reach), tolerance, level)[0] > SHARE:
         reach = min(2 * reach, most)
     return reach
+
+
+def broken(predicted, tolerance: Tolerance, level: float) -> str:
+    """Which bound of the tolerance the border's predicted error breaks by itself, with both figures; "" for none."""
+    ratio, error, bound, unit = _worst(predicted, tolerance, level)
+    return f"predicted border {error:.2g} of {bound:.2g}{unit}" if ratio > 1 else ""
+
+
+def _worst(predicted, tolerance, level):
+    """Error over bound, error, bound and unit of the bound that is nearest to being broken."""
+    rms, most, worst = predicted
+    errors = ((rms, tolerance.rms, " rms"), (most * sqrt(level), tolerance.p999_sigma, " sigma at 99.9 %"),
+              (worst * sqrt(level), tolerance.max_sigma, " sigma"))
+    return max((error / bound, error, bound, unit) for error, bound, unit in errors if bound is not None)
+
+
+def most_reach(shape, longest: int) -> int:
+    """Surroundings beyond which a transform is not made longer [sample]; longest: side of a transform."""
+    rows, cols = shape
+    samples = max(MOST_SAMPLES, MOST_TIMES * rows * cols)
+    return max(0, min(int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4), (longest - max(shape)) // 2))
+
+
+def _inside(image, margin):
+    return image[margin : image.shape[0] - margin, margin : image.shape[1] - margin]
+
+
+def _means(n, period, cells, border, wide):
+    """Means over the cells of a world of `wide` periods, as weights of the image's n samples."""
+    length, step = wide * period, period / cells
+    at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
+    if border == "reflect":
+        source, light = np.minimum(at % (2 * n), (-1 - at) % (2 * n)), np.ones(length)
+    else:
+        source = np.clip(at, 0, n - 1)
+        light = (at == source) * 1.0 if border == "zero" else np.ones(length)
+    start = np.arange(length) / step  # a sample is in one cell, or partly in the next
+    first = np.minimum((start * (1 + 1e-12)).astype(int), wide * cells - 1)
+    share = np.clip((first + 1 - start) * step, 0, 1)
+    entries = np.concatenate([light * share, light * (1 - share)]) / step
+    places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
+    return csr_array((entries, places), shape=(wide * cells, n))
+
+
+def _kernel(f, soft, tail, disc):
+    """Transform of tail r^-3, softened within a cell, and of a disc.
+
+    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel.
+    """
+    kernel = tail * 2 * np.pi / soft * (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6)
+    if disc:
+        v = np.maximum(2 * np.pi * disc * f, 1e-9)
+        kernel = kernel + 2 * j1(v) / v * np.exp(-((np.pi * soft * f) ** 2))
+    return kernel

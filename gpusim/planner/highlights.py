@@ -3,7 +3,8 @@
 A float32 transform errs everywhere by 2.5e-7 of the field's root mean square: beside one pixel 1e9 times as bright as
 the rest that is up to 68 % of the rest. So a pixel above THRESHOLD times the median stays in the planes at the median,
 and what it has more is a point light of its own spectrum, whose kernel is summed in the image itself, not by
-transforms. As a light, it is not continued outside the frame by the border rule, and it never wraps around.
+transforms. It never wraps around. The border's rule holds for it too: where it is mirrored so are its mirror images,
+and what would go on as a line of light, a pixel at the edge of a picture whose edge goes on, is not split.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from gpusim.domain.scene import Basis, Cube, Materials
 
 THRESHOLD = 100.0  # times the median
 MOST = 64  # points; what is beyond them stays in the planes, and its error is reported
+MOST_IMAGES = 1024  # of all points and their mirror images
 TRANSFORM_ERROR = 2.5e-7  # of a float32 transform, over the field's root mean square
 NEGLIGIBLE = 1e-6  # of the median: where a point adds less, it is not added
 CORE = 32  # [pixel] kernels are tabled pixel by pixel up to here, by radius beyond
@@ -25,9 +27,10 @@ PER_RING = 64  # samples of a radial table to a diffraction ring
 class Highlights:
     """Point lights in the frame's pixels.
 
-    places: rows and columns, int (N, 2), counted from the frame's first pixel. light: which of the spectra, int (N,).
-    strength: times that spectrum, (N,). spectra: (K, L). reach: farthest pixel each adds to [pixel], int (N,).
-    residue: local error, over the median, from bright pixels beyond the MOST that stayed in the planes.
+    places: rows and columns, int (N, 2), counted from the frame's first pixel; mirror images lie outside. light: which
+    of the spectra, int (N,). strength: times that spectrum, (N,). spectra: (K, L). reach: farthest pixel each adds to
+    [pixel], int (N,). residue: local error, over the median, from bright pixels beyond the MOST that stayed in the
+    planes. missing: what mirror images beyond the reach would give to every pixel, in the unit of brightness.
     """
 
     places: np.ndarray
@@ -36,11 +39,11 @@ class Highlights:
     spectra: np.ndarray
     reach: np.ndarray
     residue: float
+    missing: float
 
 
-def unsplit_error(content: Cube | Basis | Materials, weights) -> float:
+def unsplit_error(brightness) -> float:
     """Local error, over the median, beside highlights that stay in the planes; 0 without highlights."""
-    brightness = brightness_of(content, weights.sum(axis=0))
     median = _level(brightness)
     if not 0 < THRESHOLD * median < brightness.max():
         return 0.0
@@ -56,19 +59,26 @@ def _level(brightness):
     return float(np.median(brightness[brightness > 0]))
 
 
-def split_highlights(content: Cube | Basis | Materials, weights, q: float, margin: int):
-    """Content without its highlights, and these (None where there are none).
+def split_highlights(content: Cube | Basis | Materials, brightness, q: float, margin: int, border: str):
+    """Content without its highlights, and these (None where none can be split off).
 
-    weights: electrons per content, shape (C, L); brightness is their sum over the channels. q: largest wavelength times
-    f-number over pitch. margin: of the scene around the frame [pixel].
+    brightness: of the content, see `brightness_of`; without the highlights on return. q: largest wavelength times
+    f-number over pitch. margin: of the scene around the frame [pixel]. border: "zero", "edge" or "reflect".
     """
-    total = weights.sum(axis=0)
-    brightness = brightness_of(content, total)
     median = _level(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
-    if not len(bright):
+    rows, cols = np.unravel_index(bright, brightness.shape)
+    single = np.ones(len(bright), bool)
+    if border == "edge":
+        single = np.logical_and.reduce([(0 < at) & (at < n - 1)
+                                        for at, n in zip((rows, cols), brightness.shape, strict=True)])
+    elif border == "reflect" and MOST * np.prod([2 * (max(brightness.shape) // n) + 1
+                                                 for n in brightness.shape]) > MOST_IMAGES:
+        single[:] = False  # a narrow strip between two mirrors
+    chosen = bright[single]
+    chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:MOST]]
+    if not len(chosen):
         return content, None
-    chosen = bright[np.argsort(brightness.flat[bright])[::-1][:MOST]]
     rows, cols = np.unravel_index(chosen, brightness.shape)
     level = brightness[rows, cols].astype(np.float64)
     keep = (median / level).astype(np.float32)
@@ -91,17 +101,35 @@ def split_highlights(content: Cube | Basis | Materials, weights, q: float, margi
     # exactly what was taken away, the rounding of the stored remainder included
     left = planes[..., rows, cols] / np.where(stored == 0, 1, stored)
     strength = strength * (1 - (left if left.ndim == 1 else np.where(stored == 0, 0, left).max(axis=0)))
-    rest_squared = np.square(brightness, dtype=np.float64)
-    rest_squared[rows, cols] = median**2
+    shape, brightness[rows, cols] = brightness.shape, median
     residue = 0.0
     if len(bright) > len(chosen):
-        residue = TRANSFORM_ERROR * float(np.sqrt(rest_squared.mean())) / max(median, 1e-38)
+        residue = TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / max(median, 1e-38)
     # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
-    reach = np.minimum(np.maximum(reach, CORE), max(brightness.shape)).astype(np.int32)
-    return rest, Highlights(np.stack([rows, cols], axis=1) - margin, light.astype(np.int32), strength, spectra, reach,
-                            residue)
+    reach = np.minimum(np.maximum(reach, CORE), max(shape)).astype(np.int32)
+    places, image, missing = np.stack([rows, cols], axis=1), np.arange(len(rows)), 0.0
+    if border == "reflect":
+        # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
+        missing = float(q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum() / brightness.size)
+        for axis, n in enumerate(shape):
+            places, image = _mirrored(places, image, axis, n, reach)
+    return rest, Highlights(places - margin, light[image].astype(np.int32), strength[image], spectra, reach[image],
+                            residue, missing)
+
+
+def _mirrored(places, image, axis, n, reach):
+    """Places with all mirror images along an axis of n pixels that reach into the frame, and which point each is of."""
+    parts = []
+    for turn in range(-(max(reach) // n) - 1, max(reach) // n + 2):  # a frame's width each
+        at = turn * n + (places[:, axis] if turn % 2 == 0 else n - 1 - places[:, axis])
+        near = np.maximum(-at, at - (n - 1)) <= reach[image]
+        moved = places.copy()
+        moved[:, axis] = at
+        parts.append((moved[near], image[near]))
+    found, images = zip(*parts, strict=True)
+    return np.concatenate(found), np.concatenate(images)
 
 
 def brightness_of(content: Cube | Basis | Materials, total) -> np.ndarray:

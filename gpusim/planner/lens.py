@@ -203,6 +203,15 @@ class Differences:
                          "narrower ones; or a coarser pixel")
 
 
+def spread_radius(optics: Optics, wavelengths, pitch) -> float:
+    """Largest distance from a point's image on the axis at which rays meet the image, or given spreads end [pixel]."""
+    if optics.psf is not None:
+        return max(optics.psf.values.shape[-2:]) * optics.psf.spacing / pitch / 2
+    q = np.asarray(wavelengths) * 1e-9 * optics.working_f_number / pitch
+    waves = zip(q, optics.waves(wavelengths), strict=True)
+    return max((2 * one * _steepest(wave) for one, wave in waves if wave.any()), default=0.0)
+
+
 def _steepest(wave):
     """Largest slope of the wavefront in the pupil [waves per radius]."""
     u = np.linspace(-1, 1, 17)

@@ -1,7 +1,7 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from math import ceil, prod
 
 import numpy as np
@@ -13,13 +13,13 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Basis, Cube, Materials, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
-from gpusim.planner.border import border_error, enough_reach
+from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
 from gpusim.planner.depth import DepthPlan, flattened, plan_depth
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
 from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights, unsplit_error
-from gpusim.planner.lens import Differences, open_lens, wavelength_nodes
+from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.sampling import (
     AREA,
     NODES,
@@ -34,6 +34,7 @@ from gpusim.planner.sampling import (
 from gpusim.planner.weights import product_weights
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
+LONGEST = 2**15  # samples of a transform along an axis
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
@@ -71,6 +72,7 @@ class Plan:
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
     period: lengths of the transforms [sample]. slope: tangent of the field angle per pixel.
     models: stage -> what is modelled, and why; left_out: what is not. predicted: named error bounds.
+    not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
     """
 
     scene: Scene
@@ -98,11 +100,13 @@ class Plan:
     models: dict = field(default_factory=dict)
     left_out: list = field(default_factory=list)
     predicted: dict = field(default_factory=dict)
+    not_met: str = ""
 
 
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
          tolerance: Tolerance | None = None, guaranteed: bool = False, reach: int | None = None,
-         fft_free: bool = False, keep=lambda _, __, make: make()) -> Plan:
+         fft_free: bool = False, period: tuple[int, int] | None = None,
+         keep=lambda _, __, make: make()) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     transform_lengths: function of the least (rows, cols) and the mosaic's period that gives the kernels' transform
@@ -114,10 +118,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     tolerance: wavelengths are fused into the fewest planes whose predicted error meets it; without one each is exact.
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
-    needs. fft_free: blur by pyramids of separable kernels in place of transforms. keep: function (what, key, make) that
-    may give what make() gave before for the same key.
-    A dark world (border "zero") gets at least half the frame, so that no light of the frame comes back on its other
-    side.
+    needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
+    transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
+    then. keep: function (what, key, make) that may give what make() gave before for the same key.
+    A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
+    comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
@@ -153,36 +158,46 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         step = "pixel pitch" if ratio == 1 else "distance of scene samples"
         raise OutOfRange(f"{camera.name}: wavelength x f-number / {step}", f"{q.min():.2g}",
                          f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
-    limit, border = None, 0.0
-    if tolerance is not None:
-        limit, level = _limit(tolerance, sensor, weights, content)
-        if reach is None and scene.border != "zero":
-            reach = enough_reach(BORDER_REACH, scene.shape, q.max() / ratio, tolerance, level)
-    reach = BORDER_REACH if reach is None else reach
-    if scene.border != "zero":
-        border = border_error(reach, scene.shape, q.max() / ratio)[0]
-        if limit is not None:  # what the border takes is not left for the planes
-            limit = np.sqrt(max(limit**2 - border**2, limit**2 / 2))
+    limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, content)
+    brightness = brightness_of(content, weights.sum(axis=0))
+    mean_q = float(np.average(q, weights=weights.sum(axis=0)))
+    size = blurred_level(brightness, mean_q, scene.margin) if blurred else 0.0
+    highlights, ideal = None, optics.is_ideal and not optics.varies and optics.distortion is None and depth is None
+    # the points' kernels are Airy patterns integrated over a square that the point is in the middle of
+    if (blurred and not period and ideal and cell[0] == cell[1] and not any(moved)
+            and (ratio > 1 or not sensor.stacked)):
+        content, highlights = split_highlights(content, brightness, q.max(), scene.margin, rule_of(scene.border))
     by_depth, without = _by_depth(scene, depth, content, optics, sensor.pixel_pitch / ratio, weights, limit)
-    reach = ceil(reach * ratio) + (ceil(by_depth.reach) if by_depth else 0) + more
-    reaches = [max(reach, -(-n // 2) if scene.border == "zero" else 0) for n in (rows, cols)]
-    period, folded = transform_lengths([n + 2 * more for n, more in zip((rows, cols), reaches, strict=True)],
-                                       np.shape(sensor.cfa_indices))
+    spread = by_depth.reach if by_depth else spread_radius(optics, nodes, sensor.pixel_pitch / ratio) if blurred else 0
+
+    def lengths(least):
+        return (period, False) if period else transform_lengths(least, np.shape(sensor.cfa_indices))
+
+    outside = Outside(brightness, scene.border, scene.margin, tail_of(optics) * mean_q if blurred and not period else 0,
+                      spread, size, max(sensor.read_sigma**2, 1) / level, highlights.missing if highlights else 0.0)
+    beside = (ceil(by_depth.reach) if by_depth else 0) + more
+    least = 0  # spreads that are given end: the frame sees as far as they go, if they fit into its transforms at all
+    if optics.psf and 2 * spread <= min(rows, cols) + 2 * BORDER_REACH * ratio:
+        least = ceil(spread / ratio)
+    reaches, own_period, folded, border, not_met = _surroundings(
+        outside, lengths, ratio, beside, reach, least, tolerance, level)
+    if limit is not None:  # what the border takes is not left for the planes
+        limit = np.sqrt(max(limit**2 - border**2, limit**2 / 2))
     folded &= ratio == 1 and not sensor.is_monochrome and not sensor.stacked
     folded &= optics.is_symmetric and not optics.varies and not any(moved)
-    if None in period:
+    if None in own_period:
         raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
                          "what the transforms take: a smaller scene, reach or aperture")
     folded &= by_depth is None  # layers are laid over one another channel by channel
     flat = np.ones(len(nodes))
     slow = optics.psf is None and not optics.is_symmetric
     tables_of = partial(_quick_tables, optics, sensor.pixel_pitch) if slow else transfer_tables
-    models, left_out, predicted, highlights, varying = {}, [], {}, None, None
+    models, left_out, predicted, varying = {}, [], {}, None
     taps, spare = None, 0
     if ratio > 1 or (more and not blurred):
         # the blur knows what is beyond the scene's samples; a picture without blur is constant over each of them
         if blurred and not fft_free:
-            spare = min(SPARE + more, *((n - m) // 2 for n, m in zip(period, (rows, cols), strict=True)))
+            spare = min(SPARE + more, *((n - m) // 2 for n, m in zip(own_period, (rows, cols), strict=True)))
         taps = (_blurred_axes if blurred else _plain_axes)(scene, ratio, aperture, displacement, spare)
         models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over its "
                                    f"aperture{_displaced(displacement)}")
@@ -200,11 +215,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         left_out.append('diffraction, lateral colour: optics.model is "none"' if np.any(optics.lateral_color_at(nodes))
                         else 'diffraction: optics.model is "none"')
     else:
-        ideal = optics.is_ideal and not optics.varies and optics.distortion is None and by_depth is None
-        # the points' kernels are Airy patterns integrated over a square that the point is in the middle of
-        if ideal and cell[0] == cell[1] and not any(moved) and (ratio > 1 or not sensor.stacked):
-            content, highlights = split_highlights(content, weights, q.max(), scene.margin)
-        elif left := unsplit_error(content, weights):
+        if highlights is None and (left := unsplit_error(brightness)):
             predicted["local error beside highlights"] = left
         if min(cell) < 1:  # points in the middle of the apertures would count too much of a flat scene
             flat = _tables(transfer_tables, q, cell, 1, ratio, moved)[:, 0, 0].real
@@ -286,6 +297,9 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     models["sensor.expose"] = f"{'cos^4, ' if slope else ''}{layout}"
     if gains is not None:
         predicted["border"] = border
+        if tolerance is None and border > TRANSFORM_ERROR:
+            left_out.append(f"the world more than {min(reaches) / ratio:.4g} pixels outside the frame, seen as the "
+                            f"transforms repeat it: relative rms {border:.2g}, predicted")
         if optics.is_ideal:
             predicted["kernel energy beyond the surroundings"] = _energy_beyond(min(reaches), q.max())
     unseen = sensor.qe.wavelengths[(sensor.qe.values > 0.01).any(axis=0)]
@@ -297,7 +311,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
                  *([f"depth: {without}, so the blur is the same at all distances"] if without else [])]
-    needed = _bytes(rows, cols, period, content, table, gains, transfers, len(nodes), len(weights),
+    needed = _bytes(rows, cols, own_period, content, table, gains, transfers, len(nodes), len(weights),
                     1 if optics.is_symmetric and not any(moved) else 4)
     if by_depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         needed += 16 * len(weights) * rows * cols * len(by_depth.kernels) * by_depth.layers
@@ -306,8 +320,37 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
     return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
-                by_depth, warp, gain, folded, fft_free, taps, spare, q, period, float(slope), needed, models, left_out,
-                predicted)
+                by_depth, warp, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, models,
+                left_out, predicted, not_met)
+
+
+def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, level):
+    """How much of the world takes part in the blur.
+
+    outside: `Outside` of the scene. lengths: function of the least (rows, cols), see `plan`. ratio: samples per pixel.
+    beside: samples that take part beside the reach. reach: [pixel] asked for, or None: BORDER_REACH or `least`, and
+    what the tolerance needs. Returns surroundings along each axis [sample], the transforms' lengths, whether the mosaic
+    folds into these, the border's relative RMS error, and the bound that it breaks.
+    """
+    shape = outside.image.shape
+
+    def transform(reach):
+        around = ceil(reach * ratio) + beside
+        reaches = [max(around, -(-n // 2) if outside.border == "zero" else 0) for n in shape]
+        return reaches, *lengths([n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+
+    @cache
+    def predicted(reach):
+        reaches, period, _ = transform(reach)
+        return (0.0, 0.0, 0.0) if None in period else outside.error(period, min(reaches))
+
+    if reach is None:
+        reach = max(BORDER_REACH, least)
+        if tolerance is not None:
+            most = int((most_reach(shape, LONGEST) - beside) / ratio)
+            reach = enough_reach(reach, most, predicted, tolerance, level)
+    border = predicted(reach)
+    return *transform(reach), border[0], "" if tolerance is None else broken(border, tolerance, level)
 
 
 def _by_depth(scene, depth, content, optics, pitch, weights, limit):

@@ -7,13 +7,11 @@ import numpy as np
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
-from gpusim.domain.optics import Optics
+from gpusim.domain.learned import XYZ
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.planner.balance import estimate_white
 from gpusim.planner.color import TransformSet, adaptation, color_matrix, transform_set
 from gpusim.planner.plan import Plan
-
-XYZ = ("X", "Y", "Z")  # what learned filters may give for the target light, in place of the camera's channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +58,7 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
         matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
         return _scaled(matrix, neutral, None, f"XYZ in {processor.target} to the display", white, saturation)
     if processor.color != "none":
-        made = color_matrix(_efficiency(camera, letters), light, processor.training, method=processor.color,
+        made = color_matrix(efficiency(camera, letters), light, processor.training, method=processor.color,
                             target_light=processor.target, display=camera.display, channels=letters)
         matrix, neutral, to_xyz = made.matrix, made.white, made.xyz
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
@@ -81,7 +79,7 @@ def planes_of(camera: Camera) -> tuple[str, ...]:
     return camera.sensor.channels if table is None else table.layout.outputs
 
 
-def balanced(once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float) -> Rendering:
+def rebalanced(once: Rendering, camera: Camera, transforms: TransformSet | None, thumbnail, floor: float) -> Rendering:
     """The same exposure, rendered for the white that the picture itself suggests.
 
     once: for the target light. transforms: of a set of lights, where a matrix or the estimate needs them. thumbnail:
@@ -104,7 +102,7 @@ def transforms_of(camera: Camera) -> TransformSet:
     processor = camera.processor
     method = "white-preserving" if processor.color == "none" else processor.color
     letters = planes_of(camera)
-    return transform_set(_efficiency(camera, letters), processor.training, channels=letters, method=method,
+    return transform_set(efficiency(camera, letters), processor.training, channels=letters, method=method,
                          target_light=processor.target, display=camera.display)
 
 
@@ -129,15 +127,11 @@ def _channels_shown(letters, neutral):
     return np.eye(len(letters))[chosen] * balance, "channels to display primaries"
 
 
-def _efficiency(camera, letters):
-    """Quantum efficiency of the channels with these letters behind the lens."""
-    qe = camera.sensor.qe
+def efficiency(camera: Camera, letters) -> Spectrum:
+    """Quantum efficiency [e-/photon] of the channels with these letters behind the lens, shape (letters, L)."""
+    optics, qe = camera.optics, camera.sensor.qe
     rows = np.atleast_2d(qe.values)[[camera.sensor.channels.index(letter) for letter in letters]]
-    return through(camera.optics, Spectrum(qe.wavelengths, rows, qe.name))
-
-
-def through(optics: Optics, qe: Spectrum) -> Spectrum:
-    """Quantum efficiency behind a lens."""
+    qe = Spectrum(qe.wavelengths, rows, qe.name)
     if not isinstance(optics.transmission, Spectrum):
         return qe
     nodes = np.union1d(qe.wavelengths, optics.transmission.wavelengths)

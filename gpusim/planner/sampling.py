@@ -209,8 +209,10 @@ class _Waves:
 def _channel_optics(waves, seen, q, ratio, transfer_tables):
     """Each channel's transfer function of the optics alone at the waves, (C, F, F).
 
-    seen: what each wavelength gives to each channel, (C, L).
+    seen: what each wavelength gives to each channel, (C, L). Under spiky lights some are negative, as weights of an
+    interpolation: their sizes count, so that a channel's function stays a mean of the wavelengths'.
     """
+    seen = np.abs(seen)
     total = seen.sum(axis=0)
     bins = np.minimum(((np.cumsum(total) - total / 2) / total.sum() * BINS).astype(int), BINS - 1)
     used = np.unique(bins)

@@ -1,7 +1,7 @@
 """Elementary functions in float64 with the same bits on every device: see `exact_ref` for why.
 
 The polynomials are the Taylor series, so that no constant needs an origin. Greatest errors measured over random
-arguments [ulp]: log 0.8, exp 0.93, 1 - exp 1.7; of the normal quantile 7e-16 of its value (tests/test_poisson.py).
+arguments [ulp]: log 0.8, exp 0.93, 1 - exp 1.7; of the normal quantile 7e-16 of its value (tests/host/test_poisson.py).
 """
 
 import numpy as np

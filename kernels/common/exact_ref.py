@@ -4,7 +4,7 @@ IEEE 754 fixes the bits of + - * / sqrt and of conversions, not those of library
 sine and cosine are built here from the former, in float32 and without contraction into fused multiply-adds. The
 polynomials are weighted minimax fits (Lawson's iteration) whose coefficients were rounded to float32 one after the
 other, the remaining ones being refitted. Greatest errors over every float32 of the ranges in use [ulp]: log 0.91,
-exp 0.99, 1 - exp 1.47, sine 0.74, cosine 0.99 (tests/test_poisson.py). The devices' versions (`exact.clh`,
+exp 0.99, 1 - exp 1.47, sine 0.74, cosine 0.99 (tests/host/test_poisson.py). The devices' versions (`exact.clh`,
 `exact_warp.py`) do the same operations in the same order.
 """
 

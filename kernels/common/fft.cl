@@ -32,7 +32,7 @@ __kernel void rows_forward(
     // sizes:
     const int rows, const int cols, const int pitch)
 {
-    __local float2 line[ROOM(LENGTH)];
+    LOCAL(float2, line, ROOM(LENGTH));
     const int item = get_local_id(0), first = 2 * get_group_id(0), second = first + 1 < rows ? first + 1 : first;
     __global const float *a = planes + (size_t)(first_row + first) * cols;
     __global const float *b = planes + (size_t)(first_row + second) * cols;
@@ -59,7 +59,7 @@ __kernel void rows_inverse(
     // sizes:
     const int rows, const int pitch)
 {
-    __local float2 line[ROOM(LENGTH)];
+    LOCAL(float2, line, ROOM(LENGTH));
     const int item = get_local_id(0), first = 2 * get_group_id(0), second = first + 1 < rows ? first + 1 : first;
     __global const float2 *a = spectra + (size_t)first * pitch, *b = spectra + (size_t)second * pitch;
 #define SIDE_BY_SIDE 0
@@ -86,7 +86,7 @@ __kernel void columns(
     // sizes:
     const int rows, const int pitch, const int groups)
 {
-    __local float2 line[LINES * ROOM(LENGTH)];
+    LOCAL(float2, line, LINES * ROOM(LENGTH));
     const int item = get_local_id(0), plane = get_group_id(0) / groups, left = get_group_id(0) % groups * LINES;
     __global const float2 *from = spectra + (size_t)plane * rows * pitch + left;
     __global float2 *to = out + (size_t)plane * LENGTH * pitch + left;

@@ -16,7 +16,6 @@ import numpy as np
 
 from gpusim.kernels.common.border import BORDERS, extend
 
-LOCAL_BYTES = 48 * 1024  # local memory that every GPU of the last ten years gives a group
 GROUP = 512  # work-items at most
 REGISTERS = 65536 // GROUP  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
 RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
@@ -38,7 +37,7 @@ def pitch_of(device, cols) -> int:
 
 def forward(device, planes):
     """Spectra of `planes` (planes, rows, cols), shape (planes, rows, pitch, 2); `planes` may be overwritten."""
-    if device.on_host or room(max(planes.shape[1:])) > LOCAL_BYTES:
+    if device.on_host or room(max(planes.shape[1:])) > device.local_bytes:
         return _host_forward(device, planes)
     return _local_forward(device, planes, 0, planes.shape[0], "zero", planes.shape[1:])
 
@@ -48,7 +47,7 @@ def forward_extended(device, planes, first, size, border, period):
 
     Returns shape (size, period[0], pitch, 2); `planes` stay.
     """
-    if device.on_host or room(max(period)) > LOCAL_BYTES:
+    if device.on_host or room(max(period)) > device.local_bytes:
         before = middle(planes.shape[1:], period)
         return _host_forward(device, extend(device, planes, border, before, period, first, size))
     return _local_forward(device, planes, first, size, border, period)
@@ -62,7 +61,7 @@ def middle(shape, period):
 def inverse(device, spectra, cols):
     """Planes (planes, rows, cols) whose spectra these are, normalised; `spectra` is overwritten."""
     count, rows, pitch, _ = spectra.shape
-    if device.on_host or room(max(rows, cols)) > LOCAL_BYTES:
+    if device.on_host or room(max(rows, cols)) > device.local_bytes:
         return _host_inverse(device, spectra, cols)
     _columns(device, spectra, spectra, 0, 1)
     planes = device.empty((count, rows, cols))
@@ -116,7 +115,7 @@ def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign,
 
 def _columns(device, source, target, before, sign, border="zero"):
     (count, rows, pitch, _), length = source.shape, target.shape[1]
-    lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= LOCAL_BYTES)
+    lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= device.local_bytes)
     group, groups = threads(device, length, lines), pitch // lines
     device.launch("common.fft", "columns", (count * groups * group,), source, roots(device, length), target, before,
                   rows, pitch, groups, group=(group,), defines=_defines(length, lines, group, sign, border))
@@ -124,7 +123,7 @@ def _columns(device, source, target, before, sign, border="zero"):
 
 def _defines(length, lines, group, sign, border):
     return {"BORDER": BORDERS[border], "LENGTH": length, "LINES": lines, "THREADS": group, "REGISTERS": REGISTERS,
-            "PASSES": passes(length, lines, sign)}
+            "LOCAL_BYTES": room(length, lines), "PASSES": passes(length, lines, sign)}
 
 
 def _host_forward(device, planes):

@@ -55,7 +55,7 @@ def mosaic(device, planes, tables, gains, cfa, border, period, margin=0):
     start = tuple((length - size) // 2 + margin for length, size in zip(period, (rows, cols), strict=True))
     cfa = np.roll(cfa, start, axis=(0, 1))  # the mosaic counted from the corner of the period
     out = device.empty((rows - 2 * margin, cols - 2 * margin))
-    lines = None if device.on_host else _lines(period, cfa.shape)
+    lines = None if device.on_host else _lines(device.local_bytes, period, cfa.shape)
     if lines:
         _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, out)
     else:
@@ -105,6 +105,7 @@ def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, 
         device.launch(LINES, "columns_forward", (size * groups * group,), planes, roots_y, halves,
                       first, before[0], rows, cols, pitch, groups, group=(group,),
                       defines=shape | {"THREADS": group, "COLUMNS_FORWARD": columns_forward,
+                                       "LOCAL_BYTES": fft.room(period[0], columns_forward),
                                        "FORWARD": fft.passes(period[0], columns_forward, -1)})
         group = fft.threads(device, period[1], rows_forward)
         device.launch(LINES, "fold", ((small[0] // 2 + 1) * group,), halves, tables,
@@ -114,16 +115,18 @@ def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, 
                       defines=shape | {"THREADS": group, "ROWS_FORWARD": rows_forward, "ROWS_INVERSE": rows_inverse,
                                        "FORWARD": fft.passes(period[1], rows_forward, -1),
                                        "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
-                                       "ROOM_NEEDED": max(fft.room(period[1], rows_forward),
-                                                          fft.room(small[1], rows_inverse)) // 8,
+                                       "LOCAL_BYTES": max(fft.room(period[1], rows_forward),
+                                                          fft.room(small[1], rows_inverse)),
                                        "OWN": -(-small[1] // group), "CHANNELS": len(gains),
                                        "CFA": ", ".join(map(str, cfa.ravel())),
                                        "TURNS_Y": _roots_text(phases_y), "TURNS_X": _roots_text(phases_x)})
-    group = fft.threads(device, small[0], columns_inverse * cfa.size // 2)
+    side_by_side = columns_inverse * cfa.size // 2
+    group = fft.threads(device, small[0], side_by_side)
     device.launch(LINES, "columns_inverse", (-(-small[1] // columns_inverse) * group,), folded,
                   roots_y, out, 1 / (period[0] * period[1]), *start, *out.shape, group=(group,),
-                  defines=shape | {"THREADS": group, "COLUMNS_INVERSE": columns_inverse, "INVERSE": fft.passes(
-                      small[0], columns_inverse * cfa.size // 2, 1, phases_y)})
+                  defines=shape | {"THREADS": group, "COLUMNS_INVERSE": columns_inverse,
+                                   "LOCAL_BYTES": fft.room(small[0], side_by_side),
+                                   "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y)})
 
 
 @functools.lru_cache(maxsize=64)
@@ -132,13 +135,13 @@ def _constant(device, values, shape):
     return device.array(np.frombuffer(values, np.float32).reshape(shape))
 
 
-def _lines(period, cfa_shape):
+def _lines(local_bytes, period, cfa_shape):
     """Lines of a work-group in each of the kernels, as many as local memory holds and are of use; None if too few.
 
     Columns forward (two real columns to a line), rows forward and inverse of the fold, columns of all phases inverse.
     """
     def most(choices, length):
-        return next((n for n, lines in choices if fft.room(length, lines) <= fft.LOCAL_BYTES), None)
+        return next((n for n, lines in choices if fft.room(length, lines) <= local_bytes), None)
 
     small, phases = tuple(length // n for length, n in zip(period, cfa_shape, strict=True)), cfa_shape[0] * cfa_shape[1]
     found = (most([(n, n) for n in (4, 2, 1)], period[0]),

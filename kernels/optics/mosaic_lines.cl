@@ -27,7 +27,7 @@ __kernel void columns_forward(
     // sizes:
     const int rows, const int cols, const int pitch, const int groups)
 {
-    __local float2 line[COLUMNS_FORWARD * ROOM(LENGTH_Y)];
+    LOCAL(float2, line, COLUMNS_FORWARD * ROOM(LENGTH_Y));
     const int item = get_local_id(0), k = get_group_id(0) / groups;
     const int left = get_group_id(0) % groups * (2 * COLUMNS_FORWARD);
     __global const float *plane = planes + (size_t)(first + k) * rows * cols + left;
@@ -70,7 +70,7 @@ __kernel void fold(
     // sizes:
     const int size, const int cols, const int pitch)
 {
-    __local float2 line[ROOM_NEEDED];
+    LOCAL(float2, line, LOCAL_BYTES / 8);
     const float2 turns_y[PERIOD_Y] = {TURNS_Y}, turns_x[PERIOD_X] = {TURNS_X};  // roots of unity of the periods
     const int cfa[PHASES] = {CFA};
     const int item = get_local_id(0), y = get_group_id(0);
@@ -162,7 +162,7 @@ __kernel void columns_inverse(
     // sizes:
     const int rows, const int cols)
 {
-    __local float2 line[COLUMNS_INVERSE * PHASES / 2 * ROOM(SMALL_Y)];
+    LOCAL(float2, line, COLUMNS_INVERSE * PHASES / 2 * ROOM(SMALL_Y));
     const int item = get_local_id(0), left = get_group_id(0) * COLUMNS_INVERSE;
 #define SIDE_BY_SIDE 1
 #define LOAD(l, e) of_two_phases(folded, left, 2 * (l), e)

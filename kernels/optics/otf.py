@@ -6,22 +6,36 @@ over the overlap of two copies of the pupil, s = frequency x lambda N from the c
 Source: Hopkins, Proc. R. Soc. A 231 (1955); Goodman, Introduction to Fourier Optics, 6.4. The overlap is cut into
 panels along the direction perpendicular to s, at every point where its outline is not smooth, so that Gauss-Legendre
 nodes converge exponentially in both directions.
+
+How many nodes that takes depends on how fast the phase turns, not on how far it ranges: a first number comes from the
+phase's steepest turn along and across the overlap, and nodes are added until more of them change nothing.
 """
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
+from numpy.polynomial.chebyshev import chebpts1, chebval, chebvander
 from numpy.polynomial.legendre import leggauss
 from numpy.polynomial.polynomial import polyval2d
-from scipy.special import jv
+from scipy.special import jv, roots_legendre
 
+from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil, symmetric
 
 CHUNK = 2**15  # points whose phases are in the processor's cache at a time
-UNRESOLVED = 5e-7  # last coefficients of an interpolation: three of them, twice, are a fifth of the tables' 1.4e-5
+UNTHREADED = 2**18  # products up to which OpenBLAS starts no threads of its own, which would fight with the pool's
+PART = 128  # frequencies that share numbers of nodes
+ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
+PROBES = 8  # of these, which have to converge in a fast integration
+EXACT, FAST = 1e-10, 1e-7  # errors of the integral; fast: of sines and cosines in float32
+LEAST = {True: 8, False: 20}  # nodes where nothing turns, fast and exact
+# foreseen of all integrals of one table: at 13 (Z45) to 23 (Z28) million a second and core of Zen 4, 55 to 95 s of two
+MOST_POINTS = 2.5e9
+UNRESOLVED = 5e-7  # last coefficients of an interpolation: three of them, twice, are a fifth of the tables' 1e-5
 
 
 def hopkins(s, waves, nodes=None):
@@ -39,73 +53,235 @@ def hopkins(s, waves, nodes=None):
     return (2 / np.pi) * (end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t)) @ weights
 
 
-def transfer(pupil: Pupil, waves, sx, sy, extra=20, fast=False):
+def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     """Transfer function at the frequencies (sx, sy), in units of the cut-off.
 
     waves: coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n, n). sx, sy: shape (F,).
-    extra: Gauss nodes per panel beyond those that the wavefront needs. fast: sines and cosines in float32, of phases
-    reduced in float64, which err by 1e-7, and fewer nodes across the panels of an outline with corners.
-    Returns complex, shape (bands, F).
+    error: nodes are added along and across the overlap of every frequency until neither changes the integral by more.
+    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked at
+    some of the frequencies.
+    Returns complex, shape (bands, F). Raises OutOfRange where this takes more than MOST_POINTS points in all.
     """
     waves = np.asarray(waves, np.float64)
     sx, sy = np.asarray(sx, np.float64), np.asarray(sy, np.float64)
     s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
-    # W(r + s) - W(r - s) runs over twice W's range at most, phase pi x range from the middle, half as many nodes
-    nodes = extra + int(np.ceil(3.5 * peak_to_valley(waves)))
-    out = np.zeros((len(waves), len(s)), complex)
+    form = _separated(waves)
     inside = np.flatnonzero(s < 1)
-    across = 12 + nodes // 4 if fast and (pupil.blades or pupil.obscuration) else nodes  # many small panels
-    pieces = max(1, len(inside) * nodes * nodes * (1 if not (pupil.blades or pupil.obscuration) else 8) // CHUNK)
-    parts = np.array_split(inside, pieces)
-    terms = [(i, j) for i, j in zip(*np.nonzero(waves.any(axis=0)), strict=True) if i + j]
-    # the bands' wavefronts are mostly one shape, scaled: few shapes, and factors (bands, shapes)
-    u, sizes, shapes = np.linalg.svd(np.array([waves[:, i, j] for i, j in terms]).reshape(len(terms), len(waves)).T,
-                                     full_matrices=False)
-    rank = np.count_nonzero(sizes > 1e-14 * sizes.max(initial=0))
-    factors, shapes = u[:, :rank] * sizes[:rank], shapes[:rank]
+    inside = inside[np.argsort(s[inside], kind="stable")]  # the phase turns alike at frequencies of one length
+    parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
+    out, budget = np.zeros((len(waves), len(s)), complex), _Budget(len(waves))
 
-    def integrate(part):
+    def probes(part):
+        """Those where the phase turns most, along and across; for rims that touch, also some of the others."""
+        if not fast or len(part) <= PROBES:
+            return part
+        few = [np.argsort(turn)[-PROBES // 2 :] for turn in _turning(s[part], angle[part], form, 6)]
+        few += [_spread(len(part), 2 * PROBES)] if pupil.obscuration else []
+        return part[np.unique(np.concatenate(few))]
+
+    def integral(part, along, across):
         rows = _rows(pupil, s[part], angle[part], across)
-        out[:, part] = _integral(rows, s[part], angle[part], terms, shapes, factors, nodes, fast)
+        budget.spend(len(rows[0]) * along)
+        return _integral(rows, s[part], angle[part], form, along, fast) / (np.pi * pupil.area)
+
+    def guess(part):
+        few = probes(part)
+        along, across = (LEAST[fast] + int(_degree(turn.max(), form) / 2)
+                         for turn in _turning(s[few], angle[few], form))
+        if pupil.blades or pupil.obscuration:
+            panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
+            across = LEAST[fast] + int((across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max())
+            budget.need(len(part) * along * across * np.count_nonzero(panels > 1e-13) / len(few))
+        else:
+            budget.need(len(part) * along * across)
+        return few, (along, across)
+
+    def settle(part, known):
+        few, nodes = known
+        nodes, values = _converged(lambda *nodes: integral(few, *nodes), nodes, error)
+        out[:, part] = values if len(few) == len(part) else integral(part, *nodes)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(integrate, parts))
-    return out / (np.pi * pupil.area)
+        list(pool.map(settle, parts, list(pool.map(guess, parts))))
+    return out
 
 
-def interpolated(pupil: Pupil, waves, s, angles):
-    """Transfer function of a circular pupil at radii `s` in 0 .. 1 (n,) along `angles` (rays,) [rad].
+def _spread(length, count):
+    """At most `count` of 0 .. length - 1, spread so that they follow no period."""
+    return np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count]) if (
+        count < length) else np.arange(length)
 
-    Polynomials through the integral at few places: between the radii where O is not smooth (`_kinks`) it is a power
-    series in u, s = (a + b - (b - a) cos(pi u)) / 2, as its (s - a)^(3/2) is then one in u^3; around the centre it is a
-    Fourier series. Nodes are added until the last coefficients are below UNRESOLVED. As a function of the wavefront's
-    scale O is a mean of exp(i p x), whose Chebyshev coefficients are Bessel functions: see `scales`.
-    Returns complex, shape (bands, rays, n).
+
+class _Budget:
+    """Points that an integration takes; raises OutOfRange before they are too many."""
+
+    def __init__(self, bands):
+        self.bands, self.needed, self.spent = bands, 0, 0
+
+    def need(self, points):
+        self.needed += points
+        self._check(self.needed)
+
+    def spend(self, points):
+        self.spent += points
+        self._check(self.spent / 2)  # nodes that are added, and those against which they are held
+
+    def _check(self, points):
+        if points * self.bands > MOST_POINTS:
+            raise OutOfRange("optics wavefront", "one that turns so often that its integrals take "
+                             f"{points * self.bands:.2g} points or more",
+                             f"up to {MOST_POINTS:.2g}: fewer waves, or terms of lower order")
+
+
+def _converged(integral, nodes, error):
+    """Numbers of nodes along and across that `integral(along, across)` needs, and its value."""
+    along, across = nodes
+    integral = cache(integral)
+    while True:
+        more = along + along // 4 + 2, across + across // 4 + 2
+        value = integral(along, across)
+        rest = [np.abs(other - value).max() for other in (integral(more[0], across), integral(along, more[1]))]
+        if max(rest) < error:
+            return (along, across), value
+        along, across = (after if left >= error else now
+                         for now, after, left in zip((along, across), more, rest, strict=True))
+
+
+def _separated(waves):
+    """Shapes (R, n, n) without constants, and factors (bands, R): bands mostly have one wavefront, scaled."""
+    waves = waves.copy()
+    waves[:, 0, 0] = 0
+    used = np.flatnonzero(waves.any(axis=(0, 1)) | waves.any(axis=(0, 2)))
+    order = 1 + used.max(initial=0)
+    u, sizes, shapes = np.linalg.svd(waves[:, :order, :order].reshape(len(waves), -1), full_matrices=False)
+    rank = np.count_nonzero(sizes > 1e-14 * sizes.max(initial=0))
+    return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
+
+
+def _turning(s, angle, form, steps=16):
+    """Steepest phase [rad], at each frequency, per radian of the angles whose cosines are the places along and across.
+
+    A Gauss rule of n nodes is exact for what turns by 2 n.
+    """
+    phase = _phases(s, angle, form, steps)
+    return [_steepest(phase, axis, np.pi / steps).max(axis=(0, -1, -2)) for axis in (-1, -2)]
+
+
+def _degree(turn, form, width=3):
+    """Degree of a polynomial that follows exp(i phase), where the phase [rad] turns by `turn` per radian at most.
+
+    For a phase x T_m, which turns by m x, its terms are J_k(x) of degree m k (Jacobi and Anger), and J_k ends
+    a few x^(1/3), `width`, after k = x.
+    """
+    return turn + width * np.cbrt((form[0].shape[-1] - 1) ** 2 * turn)
+
+
+def _steepest(phase, axis, step):
+    return np.abs(np.diff(phase, axis=axis)) / step
+
+
+def _phases(s, angle, form, steps):
+    """Phases [rad] in the overlap, at even angles whose cosines are the places, (bands, *s.shape, across, along)."""
+    shapes, factors = form
+    theta = (np.arange(steps) + 0.5) * np.pi / steps
+    s, angle = (part[..., None, None] for part in np.broadcast_arrays(s, angle))
+    t = np.arccos(s) * np.cos(theta)[:, None]
+    u, v = (np.cos(t) - s) * np.cos(theta), np.sin(t) + np.zeros(steps)
+    return 2 * np.pi * np.tensordot(factors, _difference(shapes, s, angle, u, v), 1)
+
+
+def _difference(shapes, s, angle, u, v):
+    """W(r + s) - W(r - s) [waves] of every shape at u along s and v across it; shape (R, *u.shape)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    plus, minus = (_wavefronts(shapes, cos * along - sin * v, sin * along + cos * v) for along in (u + s, u - s))
+    return plus - minus
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """Transfer functions of wavefronts by a circular pupil, as series in radius and angle.
+
+    Between the radii where O is not smooth (`edges`, see `_kinks`) it is a power series in u, s = (a + b - (b - a)
+    cos(pi u)) / 2, as its (s - a)^(3/2) is then one in u^3; around the centre it is a Fourier series.
+    around: (bands, orders, panels, coefficients), orders as numpy.fft has them.
+    """
+
+    edges: np.ndarray
+    around: np.ndarray
+
+    def __call__(self, s, angles, bands=slice(None)):
+        """Values at radii `s` in 0 .. 1 (n,) along `angles` (rays,) [rad], complex (bands, rays, n)."""
+        around = self.around[bands]
+        _, orders, panels, count = around.shape
+        panel = np.clip(np.searchsorted(self.edges, s, side="right") - 1, 0, panels - 1)
+        a, b = self.edges[panel], self.edges[panel + 1]
+        place = np.arccos(np.clip(1 - 2 * (s - a) / (b - a), -1, 1)) / np.pi
+        turning = np.exp(1j * np.multiply.outer(angles, np.fft.fftfreq(orders, 1 / orders)))
+        out = np.zeros((len(around), len(angles), len(s)), complex)
+        for k in range(panels):
+            here = panel == k
+            radial = np.ascontiguousarray(chebvander(2 * place[here] - 1, count - 1).T)
+            re, im = (part.reshape(-1, count) @ radial for part in (around[:, :, k].real, around[:, :, k].imag))
+            lines = (re + 1j * im).reshape(len(out), orders, -1)
+            out[:, :, here] = [turning @ one for one in lines]
+        return out
+
+
+def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
+    """Series through the integral of wavefronts (bands, n, n) at few places; for a circular pupil.
+
+    Terms are added until the last ones are below `error`: first at few angles and few radii, then everywhere, for all
+    bands. Raises OutOfRange as `transfer` does.
     """
     edges = np.unique(np.clip([0, 1, *_kinks(pupil)], 0, 1))
-    range_, scaled, to_bands = scales(waves)
-    count = 22 + int(np.ceil(12 * range_ / (len(edges) - 1)))
-    rays = 1 if symmetric(pupil, waves) else 18 + int(np.ceil(8 * range_))
-    strongest = scaled[np.argmax((scaled**2).sum(axis=(1, 2)))][None]
+    strongest = _strongest(waves)
+    count, rays, repeats, nodes = _foreseen(pupil, strongest, edges, error >= UNRESOLVED)
+    _Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
+
+    if rays > 1:  # first along few rays and around few circles
+        while _series(pupil, strongest, edges, count, ANGLES, error)[1] >= error:
+            count += 1 + count // 4
+        while _series(pupil, strongest, edges, RADII, rays, error)[2] >= error:
+            rays += 1 + rays // 4
     while True:
-        around, along = _sampled(pupil, strongest, edges, count, rays)
-        radial_rest = np.abs(around @ along[-3:].T).max()
-        angular_rest = np.abs(around[:, rays - 1 : rays + 2]).max() if rays > 1 else 0
-        if max(radial_rest, angular_rest) < UNRESOLVED:
-            break
-        count += 1 + count // 4 if radial_rest >= UNRESOLVED else 0
-        rays += 1 + rays // 4 if angular_rest >= UNRESOLVED else 0
-    around, along = _sampled(pupil, scaled, edges, count, rays)
-    panel = np.clip(np.searchsorted(edges, s, side="right") - 1, 0, len(edges) - 2)
-    a, b = edges[panel], edges[panel + 1]
-    place = np.arccos(np.clip(1 - 2 * (s - a) / (b - a), -1, 1)) / np.pi
-    radial = np.zeros((len(s), len(edges) - 1, count))
-    radial[np.arange(len(s)), panel] = chebvander(2 * place - 1, count - 1) @ along
-    orders = np.fft.fftfreq(2 * rays, 1 / (2 * rays))
-    turning = np.exp(1j * np.multiply.outer(angles, orders))
-    values = np.tensordot(around, radial, axes=([2, 3], [1, 2]))  # (scaled, orders, n)
-    values = np.tensordot(turning, values, axes=(1, 1)).swapaxes(0, 1)
-    return np.tensordot(to_bands, values, 1)
+        around, radial_rest, angular_rest = _series(pupil, waves, edges, count, rays, error)
+        if max(radial_rest, angular_rest) < error:
+            return Expansion(edges, around)
+        count += 1 + count // 4 if radial_rest >= error else 0
+        rays += 1 + rays // 4 if angular_rest >= error else 0
+
+
+def require_points(pupil: Pupil, waves, frequencies):
+    """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
+    _Budget(len(waves)).need(frequencies * _foreseen(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1])
+
+
+def _strongest(waves):
+    return waves[np.argmax((waves**2).sum(axis=(1, 2)))][None]
+
+
+def _foreseen(pupil, wave, edges, fast):
+    """Terms in radius and angle that the series of one wavefront takes, repeats in half a turn, points per frequency.
+
+    O is a mean of waves whose phases turn, as s goes outwards or around, where the overlap is described by coordinates
+    that go with s; its series ends where that of the one that turns fastest does.
+    """
+    form, fold = _separated(wave), _turns(wave)
+    steps = 8 + form[0].shape[-1]
+    around = 2 * steps
+    theta = (np.arange(steps) + 0.5) * np.pi / steps
+    u = (1 - np.cos(theta)) / 2
+    s = np.array([(a + b - (b - a) * np.cos(np.pi * u)) / 2 for a, b in pairwise(edges)])
+    round_ = symmetric(pupil, wave)
+    turn = np.zeros(1) if round_ else np.arange(around + 1) * min(np.pi, 2 * np.pi / fold) / around
+    phase = _phases(s[..., None], turn, form, steps)
+    outwards = _steepest(phase, 2, np.pi / steps).max(initial=0)
+    sideways = 0.0 if round_ else _steepest(phase, 3, turn[1]).max(initial=0)
+    count = 22 + int(_degree(outwards, form, 4))
+    rays = 1 if round_ else 4 + int(_degree(sideways, form))
+    along, across = (LEAST[fast] + _degree(_steepest(phase, axis, np.pi / steps).max(axis=(0, 3, 4, 5)), form) / 2
+                     for axis in (-1, -2))
+    return count, rays, max(1, fold / 2), (along * across).mean()
 
 
 def peak_to_valley(waves) -> float:
@@ -122,16 +298,36 @@ def defocus_only(pupil: Pupil, waves) -> bool:
     return symmetric(pupil, waves) and not pupil.obscuration and not waves[:, i + j > 2].any()
 
 
-def _sampled(pupil, waves, edges, count, rays):
-    """Fourier series around (bands, 2 rays, panels, count) of O at nodes in u, and what makes series in u of these."""
+def _turns(waves) -> int:
+    """How often the wavefronts repeat in a turn; 1 where they do so at every angle."""
+    r, t = np.meshgrid(np.linspace(0.3, 1, 9), np.arange(64) * np.pi / 32)
+    values = np.fft.rfft([polyval2d(r * np.cos(t), r * np.sin(t), one) for one in waves], axis=1)
+    size = np.abs(values).max(axis=(0, 2))
+    return int(np.gcd.reduce(np.flatnonzero(size > 1e-12 * size.max(initial=0)))) or 1
+
+
+def _series(pupil, waves, edges, count, rays, error):
+    """Coefficients (bands, 2 rays, panels, count) of `Expansion`, and the largest of the last in radius and angle."""
     u = (1 - np.cos((np.arange(count) + 0.5) * np.pi / count)) / 2
     radius = np.concatenate([(a + b - (b - a) * np.cos(np.pi * u)) / 2 for a, b in pairwise(edges)])
-    turn = np.arange(rays) * np.pi / rays
+    fold = _turns(waves)
+    # what repeats `fold` times a turn does so in half a turn too, and is conjugate from one to the next if that is odd
+    repeats = fold if fold % 2 else fold // 2
+    own = -(-rays // repeats)
+    rays = own * repeats
+    turn = np.arange(own) * np.pi / rays
     x, y = (np.multiply.outer(part, radius).ravel() for part in (np.cos(turn), np.sin(turn)))
-    found = transfer(pupil, waves, x, y, extra=10, fast=True).reshape(len(waves), rays, len(edges) - 1, count)
+    fast = error >= UNRESOLVED
+    found = transfer(pupil, waves, x, y, error=FAST if fast else EXACT, fast=fast)
+    found = found.reshape(len(waves), own, len(edges) - 1, count)
+    other = found.conj() if fold % 2 else found
+    found = np.concatenate([other if k % 2 else found for k in range(repeats)], axis=1)
     # opposite frequencies are conjugates: half a turn makes the whole
     around = np.fft.fft(np.concatenate([found, found.conj()], axis=1), axis=1) / (2 * rays)
-    return around, np.linalg.inv(chebvander(2 * u - 1, count - 1))
+    along = np.linalg.inv(chebvander(2 * u - 1, count - 1)).T
+    last = slice(max(rays - fold, 0), rays + fold + 1)  # only every `fold`-th order is there
+    angular_rest = np.abs(around[:, last]).max() if rays > 1 else 0.0
+    return around @ along, np.abs(found @ along[:, -3:]).max(), angular_rest
 
 
 def _kinks(pupil):
@@ -163,59 +359,74 @@ def scales(waves, error=1e-7):
     return range_, waves, np.eye(len(waves))
 
 
-def _integral(rows, s, angle, terms, shapes, factors, nodes, fast):
+def _integral(rows, s, angle, form, nodes, fast):
     """Sum over the rows of each frequency, (bands, F)."""
+    shapes, factors = form
     index, v, weight, start, end = rows
     out = np.zeros((len(factors), len(s)), complex)
-    if not len(index):
-        return out
-    x, gauss = leggauss(nodes)
-    half = (end - start) / 2
-    u = ((start + end) / 2)[:, None] + half[:, None] * x
-    cos, sin, shift = (value[index, None] for value in (np.cos(angle), np.sin(angle), s))
-    phase = np.zeros((len(factors), u.size))
-    if terms:
-        plus, minus = (_wavefronts(terms, shapes, cos * along - sin * v[:, None], sin * along + cos * v[:, None])
-                       for along in (u + shift, u - shift))
-        phase = factors @ (plus - minus)
-    if fast:
-        phase = (phase - np.rint(phase)).astype(np.float32)
-    phase *= phase.dtype.type(2 * np.pi)
-    first = np.flatnonzero(np.diff(index, prepend=-1))
-    for part, wave in ((1, np.cos(phase)), (1j, np.sin(phase))):
-        lines = wave.reshape(len(factors), *u.shape) @ gauss.astype(wave.dtype)
-        out[:, index[first]] += part * np.add.reduceat(lines * (weight * half), first, axis=1)
+    x, gauss = _gauss(nodes)
+    # along a row W is a polynomial: its values at few points make those at all nodes
+    few, box = _box(shapes, s, angle)
+    between = chebvander(x, len(few) - 1) @ np.linalg.inv(chebvander(few, len(few) - 1))
+    middle, half = (start + end) / 2, (end - start) / 2
+    width, height = 1 - s, np.sqrt(1 - s * s)
+    # a piece has whole frequencies' rows or parts of them; what it adds is summed
+    size = max(1, min(CHUNK // nodes, UNTHREADED // (len(few) * nodes)))
+    for piece in (slice(k, k + size) for k in range(0, len(index), size)):
+        i, h = index[piece], half[piece]
+        row = np.einsum("rfij,fj->irf", box[:, i], chebvander(v[piece] / height[i], len(few) - 1))
+        u = (middle[piece, None] + h[:, None] * few) / width[i, None]
+        phase = np.tensordot(factors, chebval(u, row[..., None], tensor=False), 1) @ between.T
+        if fast:
+            phase = (phase - np.rint(phase)).astype(np.float32)
+        phase *= phase.dtype.type(2 * np.pi)
+        first = np.flatnonzero(np.diff(i, prepend=-1))
+        for part, wave in ((1, np.cos(phase)), (1j, np.sin(phase))):
+            lines = np.einsum("brn,n->br", wave, gauss.astype(wave.dtype))
+            out[:, i[first]] += part * np.add.reduceat(lines * (weight[piece] * h), first, axis=1)
     return out
 
 
-def _wavefronts(terms, shapes, x, y):
-    """Polynomials `shapes` (R, terms) of x^i y^j at every point, (R, points)."""
-    order = max(i + j for i, j in terms)
-    powers_x, powers_y = [np.ones(x.size)], [np.ones(y.size)]
-    for _ in range(order):
-        powers_x.append(powers_x[-1] * x.ravel())
-        powers_y.append(powers_y[-1] * y.ravel())
-    out = np.zeros((len(shapes), x.size))
-    for k, (i, j) in enumerate(terms):
-        product = powers_x[i] * powers_y[j]
-        for one, weight in zip(out, shapes[:, k], strict=True):
-            one += weight * product
-    return out
+def _box(shapes, s, angle):
+    """Chebyshev points (n,), and series (R, F, n, n) of the differences in the places u and v of the overlap's box."""
+    few = chebpts1(shapes.shape[-1])
+    to_series = np.linalg.inv(chebvander(few, len(few) - 1))
+    s, angle = s[:, None, None], angle[:, None, None]
+    u, v = np.broadcast_arrays((1 - s) * few[:, None], np.sqrt(1 - s * s) * few)
+    return few, to_series @ _difference(shapes, s, angle, u, v) @ to_series.T
+
+
+def _wavefronts(shapes, x, y):
+    """Polynomials `shapes` (R, n, n) of x^i y^j at every point, (R, *x.shape)."""
+    order, shape, x, y = shapes.shape[-1], x.shape, x.ravel(), y.ravel()
+    out = np.empty((len(shapes), len(x)))
+    size = UNTHREADED // (max(len(shapes), 1) * order**2)
+    for piece in (slice(k, k + size) for k in range(0, len(x), size)):
+        powers = np.ones((order, len(x[piece])))
+        for k in range(1, order):
+            np.multiply(powers[k - 1], y[piece], out=powers[k])
+        in_x = np.tensordot(shapes, powers, 1)
+        total = in_x[:, -1]
+        for k in reversed(range(order - 1)):
+            total = total * x[piece] + in_x[:, k]
+        out[:, piece] = total
+    return out.reshape(len(shapes), *shape)
+
+
+@lru_cache(maxsize=256)
+def _gauss(nodes):
+    return roots_legendre(nodes)
 
 
 def _rows(pupil, s, angle, nodes):
     """Lines of the overlap along s: frequency, offset v across s, weight, first and last u; sorted by frequency."""
-    x, gauss = leggauss(nodes)
-    if pupil.blades:
-        normal = pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
-        faces = np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
-    else:
-        faces = None
+    x, gauss = _gauss(nodes)
+    faces = _faces(pupil, angle)
     panels = _panels(pupil, s, angle, faces)
     index, place = np.nonzero(np.diff(panels, axis=1) > 1e-13)
     low, high = panels[index, place], panels[index, place + 1]
     slope = np.ones_like(x)
-    if faces or pupil.obscuration:  # (3 x - x^3) / 2 makes roots at a panel's ends smooth
+    if pupil.obscuration:  # (3 x - x^3) / 2 makes roots at a panel's ends smooth
         x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
     t = ((low + high) / 2)[:, None] + ((high - low) / 2)[:, None] * x
     v, weight = np.sin(t), ((high - low) / 2)[:, None] * slope * gauss * np.cos(t)
@@ -235,6 +446,14 @@ def _rows(pupil, s, angle, nodes):
           for start, end in pieces for keep in [end > start]), strict=True)]
     order = np.argsort(found[0], kind="stable")
     return [column[order] for column in found]
+
+
+def _faces(pupil, angle):
+    """Sides of the pupil, seen along the frequencies: their normals' two parts and their distance from the middle."""
+    if not pupil.blades:
+        return None
+    normal = pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
+    return np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
 
 
 def _chord(faces, index, v, t):

@@ -23,10 +23,22 @@ from math import ceil, floor
 
 import numpy as np
 
+from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
-from gpusim.kernels.optics.otf import defocus_only, hopkins, interpolated, peak_to_valley, scales, transfer
+from gpusim.kernels.optics.otf import (
+    FAST,
+    defocus_only,
+    expansion,
+    hopkins,
+    peak_to_valley,
+    require_points,
+    scales,
+    transfer,
+)
 from gpusim.kernels.stage import Case, stage
 
+CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
+POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's second derivative jumps
 BLOCK = 32  # bands of a CPU's work-item
 
 
@@ -74,46 +86,93 @@ def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), dif
     return tables
 
 
-def radial_table(outline: Pupil, waves) -> np.ndarray:
-    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of."""
-    length = 512 * (1 + ceil(peak_to_valley(waves)))
-    s = 1 - np.linspace(1, 0, length) ** 2
+def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
+    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of.
+
+    n is such that cubics through the nodes err by less than `error`. Raises OutOfRange as `transfer`, DoesNotFit.
+    """
     if defocus_only(outline, waves):
-        return hopkins(s, waves[:, 2, 0, None] if waves.shape[-1] > 2 else 0 * waves[:, 0, :1])
-    return interpolated(outline, waves, s, np.zeros(1))[:, 0].real
+        focus = waves[:, 2, 0, None] if waves.shape[-1] > 2 else 0 * waves[:, 0, :1]
+        found, to_bands = lambda s: hopkins(s, focus), np.eye(len(waves))
+    else:
+        _, scaled, to_bands = scales(waves)
+        series = expansion(outline, scaled)
+        found = lambda s: series(s, np.zeros(1))[:, 0].real  # noqa: E731
+    length = 512 * (1 + ceil(peak_to_valley(waves)))
+    while True:
+        require_memory("transfer tables", 16 * length * len(waves))
+        table = found(1 - np.linspace(1, 0, length) ** 2)
+        rest = cubic_error(table)
+        if rest <= error:
+            return to_bands @ table
+        length = _finer(length, rest, error)
 
 
-def polar_table(outline: Pupil, waves):
+def polar_table(outline: Pupil, waves, error=None):
     """O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
 
     The rays are even over half a turn, both ends included; the nodes are those of `radial_table`, up to the cut-off
-    of each ray. O at the opposite frequency is the conjugate.
+    of each ray. O at the opposite frequency is the conjugate. Rays and nodes are so many that cubics through them err
+    by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
-    range_ = peak_to_valley(waves)
-    sides, inner = cutoff_polygon(outline)
+    error = error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR)
+    range_, scaled, to_bands = scales(waves)
+    sides, _ = cutoff_polygon(outline)
     sectors = max(1, 2 * outline.blades)
     # of one sector, rays may be few where they are all the same
     per_sector = 8 if symmetric(outline, waves) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
-    first = outline.rotation + np.pi / outline.blades if sides else 0.0
-    turn = np.linspace(0, np.pi, sectors * per_sector + 1)
     length = 192 + ceil(48 * range_)
-    s = 1 - np.linspace(1, 0, length) ** 2
-    if not sides:
-        table = interpolated(outline, waves, s, turn[:-1])
-    else:
-        step = 2 * np.pi / sides
-        ends = inner / np.cos(turn - step * np.rint(turn / step))
-        rays = np.arange(sectors * per_sector)
-        if symmetric(Pupil(), waves):  # the polygon's mirror lines are two sectors apart: one part makes all
-            rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
-        own = np.arange(rays.max() + 1)
-        radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
-        _, scaled, to_bands = scales(waves)
-        table = transfer(outline, scaled, (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), extra=10,
-                         fast=True).reshape(len(scaled), *radius.shape)
-        table = np.tensordot(to_bands, table, 1)[:, rays]
-    table[:, :, 0] = 1
-    return np.concatenate([table, table[:, :1].conj()], axis=1), first, sectors
+    first = outline.rotation + np.pi / outline.blades if sides else 0.0
+    series = None if sides else expansion(outline, scaled)
+    strongest = np.argmax((scaled**2).sum(axis=(1, 2)))
+    # one wavefront finds how many nodes it takes, all of them are held against it
+    for wanted in ([strongest], slice(None))[len(scaled) == 1 :]:
+        while True:
+            require_memory("transfer tables", 32 * (len(scaled) + len(waves)) * sectors * per_sector * length)
+            turn = np.linspace(0, np.pi, sectors * per_sector + 1)
+            s = 1 - np.linspace(1, 0, length) ** 2
+            table = (series(s, turn[:-1], wanted) if series
+                     else _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector))
+            table[:, :, 0] = 1
+            table = np.concatenate([table, table[:, :1].conj()], axis=1)
+            along = cubic_error(table)
+            across = max(cubic_error(np.moveaxis(table[:, k * per_sector : (k + 1) * per_sector + 1], 1, -1))
+                         for k in range(sectors))
+            if max(along, across) <= error:
+                break
+            order = 2.5 if sides else 4
+            length, per_sector = _finer(length, along, error, order), _finer(per_sector, across, error, order)
+    return np.tensordot(to_bands, table, 1), first, sectors
+
+
+def _polygon_rays(outline, waves, s, first, turn, per_sector):
+    """O of a polygon at `s` of each ray's cut-off, (bands, rays, n)."""
+    sides, inner = cutoff_polygon(outline)
+    step = 2 * np.pi / sides
+    ends = inner / np.cos(turn - step * np.rint(turn / step))
+    rays = np.arange(len(turn) - 1)
+    if symmetric(Pupil(), waves):  # the polygon's mirror lines are two sectors apart: one part makes all
+        rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
+    own = np.arange(rays.max() + 1)
+    require_points(outline, waves, len(own) * len(s))
+    radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
+    found = transfer(outline, waves, (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), error=FAST,
+                     fast=True)
+    return found.reshape(len(waves), *radius.shape)[:, rays]
+
+
+def cubic_error(table) -> float:
+    """Most by which cubics through the nodes along the last axis err, from the fourth differences.
+
+    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the outer cells 1 / 24.
+    """
+    fourth = np.abs(np.diff(table, 4, axis=-1))
+    return float(max(9 / 384 * fourth.max(initial=0), fourth[..., [0, -1]].max() / 24))
+
+
+def _finer(count, rest, error, order=4.0):
+    """Nodes with which an error of this order falls to `error`."""
+    return count if rest <= error else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
 
 
 def cutoff_polygon(outline):
@@ -127,7 +186,8 @@ def cutoff_polygon(outline):
 def cases():
     """Every kind of pupil and wavefront, coarse and fine pixels, oblong and displaced ones, odd periods, low-pass."""
     why = ("cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
-           "that below 1.4e-5 of O(0) = 1; the replicas' weights sum to at most 2; float32 adds 1e-6")
+           "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
+           "float32 adds 1e-6")
     blur = np.pad(disc_power(1), (0, 2))
     defocus, spherical = np.array([0.8, 1.5])[:, None, None] * blur, 0.5 * disc_power(2)[None] - 0.4 * blur
     corner = Wavefront(seidel=(0.2, 0.7, 0.5, 0.4, 0.0)).polynomial(1.0, 0.6)[None]

@@ -1,18 +1,20 @@
 """Pixel-integrated transfer function of any pupil, float64: integrated at every frequency that folds.
 
-For whole frames that would take hours. Beyond EXACT frequencies, splines stand for the integral: through integrals at
-nodes of its own where pupil and wavefront are the same at every angle, else through the table of the rays, which the
-tests hold against the integral.
+For whole frames that would take hours. Beyond FEW frequencies, splines stand for the integral: through integrals at
+nodes of its own where pupil and wavefront are the same at every angle, else through a table of the rays that errs by
+TABLE at most. The integral itself adds nodes until it no longer changes.
 """
 
 import numpy as np
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from gpusim.domain.pupil import symmetric
-from gpusim.kernels.optics.otf import defocus_only, hopkins, peak_to_valley, transfer
+from gpusim.kernels.optics.otf import EXACT, defocus_only, expansion, hopkins, transfer
 from gpusim.kernels.optics.pupil import cutoff_polygon, polar_table
 
-EXACT = 2000  # frequencies
+FEW = 2000  # frequencies
+SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth
+TABLE, POLYGON = 1e-6, 1.5e-5  # error of cubics through the table; splines, which are smooth, err by a tenth of that
 
 
 def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)):
@@ -24,7 +26,7 @@ def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.
     fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
     fx = np.arange(cols // 2 + 1) / cols
     tables = np.zeros((len(q), fy.size, fx.size), complex)
-    value = _integral if tables.size < EXACT else _spline_radial if even else _spline_polar
+    value = _integral if tables.size < FEW else _spline_radial if even else _spline_polar
     for table, one_q, wave in zip(tables, np.asarray(q, np.float64), waves, strict=True):
         otf = value(outline, wave[None])
         reach = int(np.ceil(1 / one_q + 0.5))
@@ -47,15 +49,28 @@ def _integral(outline, wave):
 
 
 def _spline_radial(outline, wave):
-    """Nodes even in t, s = 3 t^2 - 2 t^3, which is flat at both ends and at 1 takes the root's power to the third."""
-    t = np.linspace(0, 1, 1500 + int(1000 * peak_to_valley(wave)))
-    s = t * t * (3 - 2 * t)
-    spline = CubicSpline(t, np.real(_integral(outline, wave)(s, np.zeros_like(s))))
+    """Nodes even in t, s = 3 t^2 - 2 t^3, which is flat at both ends and at 1 takes the root's power to the third.
+
+    They are doubled until the spline through every other one meets the rest.
+    """
+    if defocus_only(outline, wave):
+        found = _integral(outline, wave)
+    else:
+        series = expansion(outline, wave, EXACT)
+        found = lambda s, _: series(s, np.zeros(1))[0, 0]  # noqa: E731
+    count, rest = 1000, 1.0
+    while rest > SPLINE:
+        count *= 2
+        t = np.linspace(0, 1, count + 1)
+        s = t * t * (3 - 2 * t)
+        values = np.real(found(s, np.zeros_like(s)))
+        rest = np.abs(CubicSpline(t[::2], values[::2])(t) - values).max()
+    spline = CubicSpline(t, values)
     return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))  # the cubic's inverse
 
 
 def _spline_polar(outline, wave):
-    table, first, sectors = polar_table(outline, wave)
+    table, first, sectors = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
     sides, inner = cutoff_polygon(outline)
     size = (table.shape[1] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[2])

@@ -28,12 +28,14 @@ __attribute__((always_inline)) inline float own_minus_green(
     __global const ushort *restrict uu, __global const ushort *restrict u, __global const ushort *restrict h,
     __global const ushort *restrict d, __global const ushort *restrict dd,
     const long a, const long b, const long c, const long e, const long f,
-    const float black_level, const float limit)
+    const float factor, const float black_level, const float limit)
 {
 #define SAMPLE(row, column) sample(row[column], black_level)
-    const float here = SAMPLE(h, c), left = SAMPLE(h, b), right = SAMPLE(h, e), up = SAMPLE(u, c), down = SAMPLE(d, c);
-    const float bend_h = 2.0f * here - (SAMPLE(h, a) + SAMPLE(h, f));
-    const float bend_v = 2.0f * here - (SAMPLE(uu, c) + SAMPLE(dd, c));
+#define OWN(row, column) (factor * SAMPLE(row, column))
+    const float here = OWN(h, c), left = SAMPLE(h, b), right = SAMPLE(h, e), up = SAMPLE(u, c), down = SAMPLE(d, c);
+    const float bend_h = 2.0f * here - (OWN(h, a) + OWN(h, f));
+    const float bend_v = 2.0f * here - (OWN(uu, c) + OWN(dd, c));
+#undef OWN
 #undef SAMPLE
     const float slope_h = fabs(left - right) + fabs(bend_h), slope_v = fabs(up - down) + fabs(bend_v);
     const float weight_h = slope_v * slope_v + limit * limit, weight_v = slope_h * slope_h + limit * limit;
@@ -47,7 +49,7 @@ __kernel void green(
     // out:
     __global float *restrict difference,   // [rows][cols / 2 + 1]
     // params:
-    const float black_level, const float limit,
+    const float black_level, const float limit, const float red, const float blue,  // factors of their codes
     const int red_row, const int red_col,
     // sizes:
     const int run, const int rows, const int cols)
@@ -56,6 +58,7 @@ __kernel void green(
     long q = get_global_id(0) * run;
     if (y >= rows) return;
     const int first = first_own(y, red_row, red_col);
+    const float factor = is_red_row(y, red_row) ? red : blue;
     __global const ushort *h = raw + (size_t)y * cols;
     __global const ushort *u = raw + (size_t)mirror(y - 1, rows) * cols, *uu = raw + (size_t)mirror(y - 2, rows) * cols;
     __global const ushort *d = raw + (size_t)mirror(y + 1, rows) * cols, *dd = raw + (size_t)mirror(y + 2, rows) * cols;
@@ -67,12 +70,12 @@ __kernel void green(
         if (q > first)  // here x - 2 >= 0
             for (; q < inner_end; ++q) {
                 const long x = 2 * q - first;
-                out[q] = own_minus_green(uu, u, h, d, dd, x - 2, x - 1, x, x + 1, x + 2, black_level, limit);
+                out[q] = own_minus_green(uu, u, h, d, dd, x - 2, x - 1, x, x + 1, x + 2, factor, black_level, limit);
             }
         if (q < end) {
             const long x = 2 * q - first;
             out[q] = own_minus_green(uu, u, h, d, dd, mirror(x - 2, cols), mirror(x - 1, cols), mirror(x, cols),
-                                     mirror(x + 1, cols), mirror(x + 2, cols), black_level, limit);
+                                     mirror(x + 1, cols), mirror(x + 2, cols), factor, black_level, limit);
             ++q;
         }
     }
@@ -85,6 +88,7 @@ __attribute__((always_inline)) inline void pair(
     __global const float *restrict h, __global const float *restrict d, __global const float *restrict dd,
     const long b, const long e, const long k, const long l, const long m, const long n, const long o,
     const bool store_own, const bool store_green, const float scale, const float black_level, const float limit,
+    const float of_own, const float of_other,
     __global float *restrict own, __global float *restrict green, __global float *restrict other)
 {
     const float own_b = (float)measured[b] - black_level, green_e = (float)measured[e] - black_level;
@@ -92,16 +96,17 @@ __attribute__((always_inline)) inline void pair(
     const float own_up = blend(uu[k], h[l], uu[l], h[k], limit), own_down = blend(h[k], dd[l], h[l], dd[k], limit);
     const float own_e = blend(h[k], h[l], own_up, own_down, limit);
     const float other_e = blend(other_b, other_right, u[n], d[n], limit);
-    const float code_b = encode(own_b) - h[k], code_e = encode(green_e);
+    const float code_b = of_own * encode(own_b) - h[k], code_e = encode(green_e);
+    const float own_part = 1.0f / of_own, other_part = 1.0f / of_other;
     if (store_own) {
         own[b] = own_b * scale;
         green[b] = decode(code_b) * scale;
-        other[b] = decode(code_b + other_b) * scale;
+        other[b] = decode((code_b + other_b) * other_part) * scale;
     }
     if (store_green) {
-        own[e] = decode(code_e + own_e) * scale;
+        own[e] = decode((code_e + own_e) * own_part) * scale;
         green[e] = green_e * scale;
-        other[e] = decode(code_e + other_e) * scale;
+        other[e] = decode((code_e + other_e) * other_part) * scale;
     }
 }
 
@@ -112,7 +117,7 @@ __kernel void colors(
     // out:
     __global float *restrict rgb,                // [3][rows][cols]
     // params:
-    const float scale, const float black_level, const float limit,
+    const float scale, const float black_level, const float limit, const float of_red, const float of_blue,
     const int red_row, const int red_col,
     // sizes:
     const int run, const int rows, const int cols)
@@ -121,6 +126,7 @@ __kernel void colors(
     long q = get_global_id(0) * run;
     if (y >= rows) return;
     const bool red = is_red_row(y, red_row);
+    const float of_own = red ? of_red : of_blue, of_other = red ? of_blue : of_red;
     const int first = first_own(y, red_row, red_col);
     const size_t pixels = (size_t)rows * cols;
     const int pairs = cols / 2 + 1;
@@ -141,13 +147,13 @@ __kernel void colors(
             for (; q < inner_end; ++q) {
                 const long x = 2 * q - first, m = q - first;
                 pair(measured, uu, u, h, d, dd, x, x + 1, q, q + 1, m, m + 1, m + 2, true, true,
-                     scale, black_level, limit, own, green, other);
+                     scale, black_level, limit, of_own, of_other, own, green, other);
             }
         if (q < end) {
             const long x = 2 * q - first, b = mirror(x, cols), e = mirror(x + 1, cols);
             pair(measured, uu, u, h, d, dd, b, e, (b + first) / 2, (mirror(x + 2, cols) + first) / 2,
                  (mirror(x - 1, cols) + 1 - first) / 2, (e + 1 - first) / 2, (mirror(x + 3, cols) + 1 - first) / 2,
-                 x >= 0, x + 1 < cols, scale, black_level, limit, own, green, other);
+                 x >= 0, x + 1 < cols, scale, black_level, limit, of_own, of_other, own, green, other);
             ++q;
         }
     }

@@ -9,19 +9,22 @@ import numpy as np
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.processor.levels import check_balance
 from gpusim.kernels.stage import Case, stage
 
 DOMAINS = ("root", "linear")
 
 
 @stage
-def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175):
+def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)):
     """Hamilton-Adams interpolation with soft weights for the directions; measured samples are kept.
 
     raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
     domain: "root" interpolates (signed) square roots, which makes edges and shot noise equally strong in light and
         shadow: right for linear data. "linear" interpolates the values, right for data that are encoded already.
     threshold: gradients below this fraction of the full scale (1 / scale, in the domain) count as equally small.
+    balance: (red, blue): what these channels are multiplied by while colours are compared, so that white is as strong
+        in them as in green; what comes out is divided again.
     Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
     Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
     Source: Hamilton & Adams 1997, US patent 5629734 (expired), with weights in place of its decisions.
@@ -32,6 +35,7 @@ def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold
         raise UnknownName("domain", domain, DOMAINS)
     if not threshold > 0:
         raise OutOfRange("threshold", threshold, "threshold > 0")
+    factors = check_balance(balance)
     raw = device.array(raw, np.uint16)
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale, device=device)
@@ -43,7 +47,8 @@ def adaptive(device, raw, *, phase, black_level, scale, domain="root", threshold
     difference = device.empty((rows, pairs))
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
-    mosaic = (float(black_level), float(limit), red_row, red_col, run, rows, cols)
+    factors = np.sqrt(factors) if root else factors
+    mosaic = (float(black_level), float(limit), *map(float, factors), red_row, red_col, run, rows, cols)
     if device.kind != "opencl":
         mosaic += (int(root),)
     options = {"defines": {"ROOT": int(root)}, "group": None if device.is_gpu else (1, 1)}
@@ -66,6 +71,9 @@ def cases():
                 yield _case(f"{domain} {phase} {rows}x{cols}", raw, phase, domain)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain)
+        for phase, balance in zip(RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.6), (2.5, 2.5)), strict=True):
+            raw = np.random.default_rng(6).integers(0, 4096, (21, 30), np.uint16)
+            yield _case(f"{domain} {phase} balanced {balance}", raw, phase, domain, balance=balance)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",
@@ -73,12 +81,12 @@ def cases():
                    "all samples and so all weights are equal and small powers of two: only the quotients round")
 
 
-def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048):
+def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
     """A case whose tolerance is 16 roundings times the condition number of the reference on these data."""
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.adaptive_ref import adaptive as reference
 
-    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain}
+    options = {"phase": phase, "black_level": black_level, "scale": scale, "domain": domain, **more}
     encode, decode = CODES[domain]
     code = encode(raw - black_level)
     exact = reference(raw, **options)

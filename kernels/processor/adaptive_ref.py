@@ -6,6 +6,7 @@ each axis (Hamilton & Adams 1997, US patent 5629734, expired):
 and G = sum g / (s^2 + t^2) / sum 1 / (s^2 + t^2), where the original takes the g with the smaller s.
 Red and blue are G plus the colour difference d = c - G of the neighbours, first across the diagonals, then along the
 axes, each time of two pairs (p, q), (r, s) of opposite neighbours with weights 1 / (|p - q| + t), 1 / (|r - s| + t).
+`balance` multiplies x of red and blue before all this, and what comes out of it is divided again.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from gpusim.kernels.processor.bilinear_ref import bilinear
 
 
-def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175):
+def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175, balance=(1.0, 1.0)):
     """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
@@ -22,7 +23,8 @@ def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175)
     rows, cols = raw.shape
     signal = np.asarray(raw, np.float64) - black_level
     letters = np.array(list(phase))[np.add.outer(2 * (np.arange(-2, rows + 2) % 2), np.arange(-2, cols + 2) % 2)]
-    c = np.pad(encode(signal), 2, mode="reflect")
+    factors = dict(zip("RGB", encode(np.array((balance[0], 1.0, balance[1]))), strict=True))
+    c = np.pad(encode(signal), 2, mode="reflect") * np.vectorize(factors.get)(letters)
 
     here = _shifted(c, 2)
     guesses, weights = [], []
@@ -42,7 +44,8 @@ def adaptive(raw, *, phase, black_level, scale, domain="root", threshold=0.0175)
         near = _shifted(np.where(letters[1:-1, 1:-1] == color, near(0, 0), diagonal), 1)
         axial = _blend(near(0, -1), near(0, 1), near(-1, 0), near(1, 0), t)
         planes[color] = green + np.where(letters[2:-2, 2:-2] == "G", axial, near(0, 0))
-    return np.stack([np.where(letters[2:-2, 2:-2] == color, signal, decode(planes[color])) for color in "RGB"]) * scale
+    return np.stack([np.where(letters[2:-2, 2:-2] == color, signal, decode(planes[color] / factors[color]))
+                     for color in "RGB"]) * scale
 
 
 CODES = {"root": (lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)),

@@ -37,6 +37,8 @@ def green(
     # params:
     black_level: float,
     limit: float,
+    red: float,
+    blue: float,
     red_row: int,
     red_col: int,
     # sizes:
@@ -48,6 +50,7 @@ def green(
 ):
     y, item = wp.tid()
     first = first_own(y, red_row, red_col)
+    factor = wp.where(own_plane(y, red_row) == 0, red, blue)
     up = mirror(y - 1, rows)
     down = mirror(y + 1, rows)
     up2 = mirror(y - 2, rows)
@@ -55,15 +58,15 @@ def green(
     for q in range(item * run, wp.min(item * run + run, (cols + first + 1) / 2)):
         x = 2 * q - first
         c = mirror(x, cols)
-        here = encode(float(raw[y, c]) - black_level, root)
+        here = factor * encode(float(raw[y, c]) - black_level, root)
         left = encode(float(raw[y, mirror(x - 1, cols)]) - black_level, root)
         right = encode(float(raw[y, mirror(x + 1, cols)]) - black_level, root)
-        far_left = encode(float(raw[y, mirror(x - 2, cols)]) - black_level, root)
-        far_right = encode(float(raw[y, mirror(x + 2, cols)]) - black_level, root)
+        far_left = factor * encode(float(raw[y, mirror(x - 2, cols)]) - black_level, root)
+        far_right = factor * encode(float(raw[y, mirror(x + 2, cols)]) - black_level, root)
         above = encode(float(raw[up, c]) - black_level, root)
         below = encode(float(raw[down, c]) - black_level, root)
-        far_above = encode(float(raw[up2, c]) - black_level, root)
-        far_below = encode(float(raw[down2, c]) - black_level, root)
+        far_above = factor * encode(float(raw[up2, c]) - black_level, root)
+        far_below = factor * encode(float(raw[down2, c]) - black_level, root)
         bend_h = 2.0 * here - (far_left + far_right)
         bend_v = 2.0 * here - (far_above + far_below)
         slope_h = wp.abs(left - right) + wp.abs(bend_h)
@@ -86,6 +89,8 @@ def colors(
     scale: float,
     black_level: float,
     limit: float,
+    of_red: float,
+    of_blue: float,
     red_row: int,
     red_col: int,
     # sizes:
@@ -98,6 +103,9 @@ def colors(
     y, item = wp.tid()
     own = own_plane(y, red_row)
     other = 2 - own
+    of_own = wp.where(own == 0, of_red, of_blue)
+    own_part = 1.0 / of_own
+    other_part = 1.0 / wp.where(own == 0, of_blue, of_red)
     first = first_own(y, red_row, red_col)
     up = mirror(y - 1, rows)
     down = mirror(y + 1, rows)
@@ -119,16 +127,18 @@ def colors(
         other_b = blend(difference[up, m], down_n, up_n, difference[down, m], limit)
         if x >= 0:
             value = float(raw[y, b]) - black_level
-            code = encode(value, root) - here_k
+            code = of_own * encode(value, root) - here_k
             rgb[own, y, b] = value * scale
             rgb[1, y, b] = decode(code, root) * scale
-            rgb[other, y, b] = decode(code + other_b, root) * scale
+            rgb[other, y, b] = decode((code + other_b) * other_part, root) * scale
         if x + 1 < cols:
             other_right = blend(up_n, difference[down, o], difference[up, o], down_n, limit)
             own_up = blend(difference[up2, k], here_l, difference[up2, last], here_k, limit)
             own_down = blend(here_k, difference[down2, last], here_l, difference[down2, k], limit)
             value = float(raw[y, e]) - black_level
             code = encode(value, root)
-            rgb[own, y, e] = decode(code + blend(here_k, here_l, own_up, own_down, limit), root) * scale
+            own_e = blend(here_k, here_l, own_up, own_down, limit)
+            other_e = blend(other_b, other_right, up_n, down_n, limit)
+            rgb[own, y, e] = decode((code + own_e) * own_part, root) * scale
             rgb[1, y, e] = value * scale
-            rgb[other, y, e] = decode(code + blend(other_b, other_right, up_n, down_n, limit), root) * scale
+            rgb[other, y, e] = decode((code + other_e) * other_part, root) * scale

@@ -6,7 +6,8 @@ import warp as wp  # noqa: TID253  this module is imported only when a Warp devi
 from gpusim.kernels.processor.align import PAD as HOST_PAD
 from gpusim.kernels.processor.align import TILE as HOST_TILE
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+# GPUs want the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 16 if wp.is_cuda_available() else 1})
 
 PAD = wp.constant(HOST_PAD)
 TILE = wp.constant(HOST_TILE)

@@ -38,14 +38,19 @@ typedef float8 __attribute__((aligned(4))) unaligned;  // PoCL's vload8 makes ei
 #define ALIKE (2.0f / 255.0f)  // pairs that differ by less agree equally well
 #define COLORED 0.3f           // difference over level where taps are half long, half short
 #define KEPT_REACH 3.0f        // variances of noise within which measured samples are drawn to their neighbours
+#define GREEN_REACH 3.5f       // and green found at red and blue
+#define KEPT_FOUND 0.34f       // of the noise's variance: in red and blue found elsewhere, on flat fields
+#define KEPT_GREEN 0.45f       // and in green before it is drawn
 
 typedef struct {
     float black_level, scale, offset;      // code = root or identity of (DN - black_level) scale + offset
     float variance, shot;                  // of a code: variance + shot * code
+    float red, blue;                       // factors of their codes; green's is 1
     float longest, shortest;               // share of the long taps where the colours are alike, and are not
     float prior;                           // mean square bend below which gains stay 1
     int red_row, red_col, half_, rows, cols;
     int corner;                            // of a tile: its first site is at -corner of a plane
+    __global const float *loss;            // what squares of mean roots lack, see levels.py
 } Mosaic;
 
 // Offset of the pixel i columns right of column 2 q + e, from the start of its row + q.
@@ -84,19 +89,59 @@ INLINE real encode(const real x)
 INLINE real decode(const real code, const Mosaic m)
 {
 #if ROOT
-    return code * fabs(code) - (m.offset - 0.75f * m.variance);  // most of the noise's share of the square is gone
+    return code * fabs(code) - m.offset;
 #else
     return code;
 #endif
 }
 
-INLINE real noise_of(const real level, const Mosaic m) { return m.variance + m.shot * fmax(level, 0.0f); }
+// Factors of the codes of a row's red or blue pixels, and of those that it has not.
+INLINE float own_factor(const int y, const Mosaic m) { return is_red_row(y - MARGIN, m.red_row) ? m.red : m.blue; }
 
-// `value` drawn towards `smooth`, the more the less their difference exceeds the noise; `kept` is the share that stays.
-INLINE real draw(const real value, const real smooth, const real noise, const float kept, const float reach)
+INLINE float other_factor(const int y, const Mosaic m) { return is_red_row(y - MARGIN, m.red_row) ? m.blue : m.red; }
+
+INLINE real noise_of(const real level, const float factor, const Mosaic m)
 {
-    const real change = value - smooth, square = change * change;
-    return smooth + change * QUOTIENT(square + kept * noise, square + reach * noise + 1e-20f);
+    return factor * (factor * m.variance + m.shot * fmax(level, 0.0f));
+}
+
+// What the square of a mean root lacks, for means that keep none of the noise's variance.
+INLINE real lost(const real square, const Mosaic m)
+{
+    const real near = fmin(QUOTIENT(m.loss[1], m.loss[0] + fabs(square)), 1.0f);
+    return (((m.loss[2] * near + m.loss[3]) * near + m.loss[4]) * near + m.loss[5]) * near + m.loss[6];
+}
+
+// A value found from the codes of others: a mean that keeps a part of the noise.
+INLINE real decode_found(const real code, const Mosaic m)
+{
+#if ROOT && NOISY
+    return decode(code, m) + (1.0f - KEPT_FOUND) * lost(code * code, m);
+#else
+    return decode(code, m);
+#endif
+}
+
+// Means are taken of signals, so that they stay: of a code's signed square, and back.
+INLINE real signal_of(const real code) { return ROOT ? code * fabs(code) : code; }
+
+// `value` drawn towards `mean` (signals), the more the less they differ by more than noise; `kept` is the share that
+// stays. Returns a code.
+INLINE real draw(const real value, const real mean, const float factor, const float kept, const float reach,
+                 const Mosaic m)
+{
+    const real change = value - mean;
+#if ROOT
+    const float noise = factor * factor * m.variance;
+    const real level = fmax(0.2f * (4.0f * mean + value), noise);
+    const real photons = QUOTIENT(fmax(level - factor * factor * m.offset, 0.0f), fmax(level - 1.5f * noise, 1e-20f));
+    const real power = photons * (2.0f / 3.0f);  // noise has no skew where differences are taken between values and roots
+    const real apart = (1.0f - power) * QUOTIENT(change, 2.0f * ROOT_OF(level)) + power * (encode(value) - encode(mean));
+#else
+    const real noise = noise_of(mean, factor, m), apart = change;
+#endif
+    const real square = apart * apart;
+    return encode(mean + change * QUOTIENT(square + kept * noise, square + reach * noise + 1e-20f));
 }
 
 // Mean of (p, q) and (r, s) with weights 1 / (|p - q| + limit), 1 / (|r - s| + limit).
@@ -106,22 +151,24 @@ INLINE real blend(const real p, const real q, const real r, const real s, const 
     return QUOTIENT(0.5f * ((p + q) * first + (r + s) * second), first + second);
 }
 
-INLINE real encoded(const real number, const Mosaic m)
+INLINE real encoded(const real number, const float factor, const Mosaic m)
 {
-    return encode((number - m.black_level) * m.scale + m.offset);
+    return encode((number - m.black_level) * m.scale + m.offset) * factor;
 }
 
 #if WIDTH > 1
 INLINE void encode_row(__global const ushort *restrict raw, PLANE code, const int y, const int q, const Mosaic m)
 {
     const int half_ = m.half_, x = 2 * q - MARGIN;
+    const bool is_odd = first_own(y - MARGIN, m.red_row, m.red_col);
+    const float at_even = is_odd ? 1.0f : own_factor(y, m), at_odd = is_odd ? own_factor(y, m) : 1.0f;
     __global const ushort *row = raw + (size_t)mirror(y - MARGIN, m.rows) * m.cols;
     if (x >= 0 && x + 16 <= m.cols) {
         const ushort8 first = vload8(0, row + x), second = vload8(1, row + x);
         const real even = convert_float8((ushort8)(first.even, second.even));
         const real odd = convert_float8((ushort8)(first.odd, second.odd));
-        PUT(encoded(even, m), ROW(code, 0));
-        PUT(encoded(odd, m), ROW(code, 0) + half_);
+        PUT(encoded(even, at_even, m), ROW(code, 0));
+        PUT(encoded(odd, at_odd, m), ROW(code, 0) + half_);
         return;
     }
     real even = 0.0f, odd = 0.0f;
@@ -129,14 +176,15 @@ INLINE void encode_row(__global const ushort *restrict raw, PLANE code, const in
         ((float *)&even)[lane] = row[mirror(x + 2 * lane, m.cols)];
         ((float *)&odd)[lane] = row[mirror(x + 2 * lane + 1, m.cols)];
     }
-    PUT(encoded(even, m), ROW(code, 0));
-    PUT(encoded(odd, m), ROW(code, 0) + half_);
+    PUT(encoded(even, at_even, m), ROW(code, 0));
+    PUT(encoded(odd, at_odd, m), ROW(code, 0) + half_);
 }
 #endif
 
 // Interpolated other colour of the row (column) minus the own one, with the regressed gain of the Laplacian.
+// factor: of the other colour's codes.
 INLINE real difference(TILE code, const int y, const int q, const int e, const int half_, const int vertical,
-                       const Mosaic m)
+                       const float factor, const Mosaic m)
 {
 #define C(i) ALONG(code, i, 0)
 #define OWN_BEND(i) (2.0f * C(i) - (C(i - 2) + C(i + 2)))
@@ -144,7 +192,7 @@ INLINE real difference(TILE code, const int y, const int q, const int e, const i
     const real before = OTHER_BEND(-1), after = OTHER_BEND(1), sides = C(-1) + C(1);
     real damping = 2.0f * m.prior;
 #if NOISY
-    damping += 10.0f * noise_of(0.5f * sides, m);
+    damping += 10.0f * noise_of(0.5f * sides, factor, m);
 #endif
     const real gain = clamp(QUOTIENT(OWN_BEND(-1) * before + OWN_BEND(1) * after + 2.0f * m.prior,
                                      before * before + after * after + damping), 0.0f, 1.0f);
@@ -206,7 +254,14 @@ INLINE real green_at(PLANE code, PLANE dh, PLANE dv, PLANE steps_h, PLANE steps_
     const real alpha = QUOTIENT(m.longest * alike + m.shortest * apart, alike + apart);
     const real green = here + (short_taps + alpha * (long_taps - short_taps));
 #if NOISY
-    return draw(green, 0.25f * axial, noise_of(0.25f * axial, m), 0.0f, 4.0f);
+#define SIGNAL(j, i) signal_of(AT(code, j, i))
+    const real mean = 0.25f * ((SIGNAL(-1, 0) + SIGNAL(1, 0)) + (SIGNAL(0, -1) + SIGNAL(0, 1)));
+#if ROOT
+    const real value = signal_of(green) + (1.0f - KEPT_GREEN) * lost(green * green, m);
+#else
+    const real value = green;
+#endif
+    return draw(value, mean, 1.0f, 0.0f, GREEN_REACH, m);
 #else
     return green;
 #endif
@@ -216,12 +271,11 @@ INLINE real green_at(PLANE code, PLANE dh, PLANE dv, PLANE steps_h, PLANE steps_
 INLINE real green_there(PLANE code, const int y, const int q, const int e, const Mosaic m)
 {
     const int half_ = m.half_;
-    const real here = AT(code, 0, 0);
 #if NOISY
-    const real mean = 0.25f * ((AT(code, -1, -1) + AT(code, 1, 1)) + (AT(code, -1, 1) + AT(code, 1, -1)));
-    return draw(here, mean, noise_of(mean, m), 0.2f, KEPT_REACH);
+    const real mean = 0.25f * ((SIGNAL(-1, -1) + SIGNAL(1, 1)) + (SIGNAL(-1, 1) + SIGNAL(1, -1)));
+    return draw(SIGNAL(0, 0), mean, 1.0f, 0.2f, KEPT_REACH, m);
 #else
-    return here;
+    return AT(code, 0, 0);
 #endif
 }
 
@@ -248,7 +302,7 @@ INLINE real gain_of(const real product, const real square, const float sites, co
 {
     real damping = sites * m.prior;
 #if NOISY
-    damping += 5.0f * sites * noise_of(level, m);
+    damping += 5.0f * sites * noise_of(level, 1.0f, m);
 #endif
     return clamp(QUOTIENT(product + sites * m.prior, square + damping), 0.0f, 1.0f);
 }
@@ -264,10 +318,10 @@ INLINE real gain_over(const float2 sums, const float sites, const real level, co
 #define GAIN(sites, level) gain_of(SITES(product), SITES(square), sites, level, m)
 #endif
 
-INLINE real limit_of(const real level, const Mosaic m)
+INLINE real limit_of(const real level, const float factor, const Mosaic m)
 {
 #if NOISY
-    return ALIKE + 2.0f * sqrt(noise_of(level, m));
+    return ALIKE + 2.0f * sqrt(noise_of(level, factor, m));
 #else
     return ALIKE;
 #endif
@@ -283,7 +337,8 @@ INLINE real diagonal_at(PLANE code, PLANE green, SLOPES_IN, const int y, const i
     const real level = AT(green, 0, 0);
     const real gain = GAIN(16.0f, level);
 #define REST(j, i) (AT(code, j, i) - gain * AT(green, j, i))
-    return gain * level + blend(REST(-1, -1), REST(1, 1), REST(-1, 1), REST(1, -1), limit_of(level, m));
+    return gain * level + blend(REST(-1, -1), REST(1, 1), REST(-1, 1), REST(1, -1),
+                                limit_of(level, other_factor(y, m), m));
 #undef RING
 #undef SITES
 #undef REST
@@ -301,16 +356,10 @@ INLINE real axial_at(PLANE code, TILE other, PLANE green, SLOPES_IN, const int y
 #define REST(p, i, j) (p - gain * ALONG(green, i, j))
     return gain * level + blend(REST(ALONG(code, -1, 0), -1, 0), REST(ALONG(code, 1, 0), 1, 0),
                                 REST(OWN_ALONG(other, 0, -1), 0, -1), REST(OWN_ALONG(other, 0, 1), 0, 1),
-                                limit_of(level, m));
+                                limit_of(level, vertical ? other_factor(y, m) : own_factor(y, m), m));
 #undef LINE
 #undef SITES
 #undef REST
-}
-
-// A measured sample; under noise drawn towards the mean of the four nearest of its colour.
-INLINE real measured(const real own, const real mean, const Mosaic m)
-{
-    return draw(own, mean, noise_of(mean, m), 0.2f, KEPT_REACH);
 }
 
 INLINE void put_pair(__global float *restrict out, const int x, const int cols, const real even, const real odd)
@@ -348,23 +397,24 @@ INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE gre
     __global float *middle = rgb + pixels + (size_t)row * m.cols;
     __global float *first = is_red_row(row, m.red_row) ? middle - pixels : middle + pixels;
     __global float *last = is_red_row(row, m.red_row) ? middle + pixels : middle - pixels;
+    const float own_inverse = 1.0f / own_factor(y, m), other_inverse = 1.0f / other_factor(y, m);
     real own_here, green_there, other_there, own_there;
     const real green_here = decode(NEAR(ROW(green, 0) + (own ? half_ : 0)), m);
     real other_here;
     {
         const int e = own;
-        other_here = decode(OWN(other, 0, 0), m);
+        other_here = decode_found(OWN(other, 0, 0) * other_inverse, m);
     }
     {
         const int e = 1 - own;
-        own_there = decode(axial_at(code, other, green, SLOPES, y, q, e, 0, m), m);
-        other_there = decode(axial_at(code, other, green, SLOPES, y, q, e, 1, m), m);
+        own_there = decode_found(axial_at(code, other, green, SLOPES, y, q, e, 0, m) * own_inverse, m);
+        other_there = decode_found(axial_at(code, other, green, SLOPES, y, q, e, 1, m) * other_inverse, m);
     }
 #if NOISY
     {
         const int e = own;
-        const real mean = 0.25f * ((AT(code, -2, 0) + AT(code, 2, 0)) + (AT(code, 0, -2) + AT(code, 0, 2)));
-        own_here = decode(measured(AT(code, 0, 0), mean, m), m);
+        const real mean = 0.25f * ((SIGNAL(-2, 0) + SIGNAL(2, 0)) + (SIGNAL(0, -2) + SIGNAL(0, 2)));
+        own_here = decode(draw(SIGNAL(0, 0), mean, own_factor(y, m), 0.2f, KEPT_REACH, m) * own_inverse, m);
     }
     green_there = decode(NEAR(ROW(green, 0) + (own ? 0 : half_)), m);
 #else
@@ -392,13 +442,18 @@ INLINE void colors_at(__global const ushort *restrict raw, PLANE code, PLANE gre
 }
 
 #define PARAMS                                                                                        \
-    const float black_level, const float scale, const float offset, const float variance,             \
-    const float shot, const float longest, const float shortest, const float prior,                   \
+    __global const float *restrict loss, const float black_level, const float scale, const float offset, \
+    const float variance, const float shot, const float red, const float blue,                        \
+    const float longest, const float shortest, const float prior,                                     \
     const int red_row, const int red_col, const int half_, const int rows, const int cols
 #define MOSAIC(corner)                                                               \
-    const Mosaic m = {black_level, scale, offset, variance, shot, longest, shortest, \
-                      prior, red_row, red_col, half_, rows, cols, corner}
+    const Mosaic m = {black_level, scale, offset, variance, shot, red, blue, longest, shortest, \
+                      prior, red_row, red_col, half_, rows, cols, corner, loss}
 #define FIRST(y) first_own((y) - MARGIN, red_row, red_col)
+// Of the other colour along a row (h) and a column (v), at even and odd columns: green's at red and blue.
+#define FACTORS(y)                                                                                          \
+    const float even_h = FIRST(y) ? own_factor(y, m) : 1.0f, odd_h = FIRST(y) ? 1.0f : own_factor(y, m);    \
+    const float even_v = FIRST(y) ? other_factor(y, m) : 1.0f, odd_v = FIRST(y) ? 1.0f : other_factor(y, m);
 
 #if WIDTH == 1
 // A tile is HIGH rows of PAIRS pairs, a work-group GROUP work-items. Planes have room for whole tiles: only the picture
@@ -424,8 +479,9 @@ __kernel void differences(__global const ushort *restrict raw, PLANE code, PLANE
             even = row[mirror(x, cols)];
             odd = row[mirror(x + 1, cols)];
         }
-        tile[y * 2 * TILE_PAIRS + q] = encoded(even, m);
-        tile[y * 2 * TILE_PAIRS + q + TILE_PAIRS] = encoded(odd, m);
+        const int row_y = first_y - 4 + y, is_odd = FIRST(row_y);
+        tile[y * 2 * TILE_PAIRS + q] = encoded(even, is_odd ? 1.0f : own_factor(row_y, m), m);
+        tile[y * 2 * TILE_PAIRS + q + TILE_PAIRS] = encoded(odd, is_odd ? own_factor(row_y, m) : 1.0f, m);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int run = get_local_id(0); run < HIGH / RUN * PAIRS; run += GROUP) {
@@ -434,11 +490,12 @@ __kernel void differences(__global const ushort *restrict raw, PLANE code, PLANE
         for (int y = first + 4; y < first + 4 + RUN; ++y) {
             const size_t at = (size_t)(first_y + y - 4) * (2 * half_) + first_q + q - 2;
             code[at] = tile[y * 2 * TILE_PAIRS + q];
-            dh[at] = difference(tile, y, q, 0, TILE_PAIRS, 0, m);
-            dv[at] = difference(tile, y, q, 0, TILE_PAIRS, 1, m);
+            FACTORS(first_y + y - 4)
+            dh[at] = difference(tile, y, q, 0, TILE_PAIRS, 0, even_h, m);
+            dv[at] = difference(tile, y, q, 0, TILE_PAIRS, 1, even_v, m);
             code[at + half_] = tile[y * 2 * TILE_PAIRS + q + TILE_PAIRS];
-            dh[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 0, m);
-            dv[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 1, m);
+            dh[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 0, odd_h, m);
+            dv[at + half_] = difference(tile, y, q, 1, TILE_PAIRS, 1, odd_v, m);
         }
     }
 }
@@ -506,13 +563,15 @@ __kernel void strip(__global const ushort *restrict raw, __global float *restric
         int y = line;
         ALONG_ROW(0) encode_row(raw, code, y, q, m);
         y = line - 4;
-        if (y >= top - 10)
+        if (y >= top - 10) {
+            FACTORS(y)
             ALONG_ROW(4) {
-                PUT(difference(code, y, q, 0, half_, 0, m), ROW(dh, 0));
-                PUT(difference(code, y, q, 0, half_, 1, m), ROW(dv, 0));
-                PUT(difference(code, y, q, 1, half_, 0, m), ROW(dh, 0) + half_);
-                PUT(difference(code, y, q, 1, half_, 1, m), ROW(dv, 0) + half_);
+                PUT(difference(code, y, q, 0, half_, 0, even_h, m), ROW(dh, 0));
+                PUT(difference(code, y, q, 0, half_, 1, even_v, m), ROW(dv, 0));
+                PUT(difference(code, y, q, 1, half_, 0, odd_h, m), ROW(dh, 0) + half_);
+                PUT(difference(code, y, q, 1, half_, 1, odd_v, m), ROW(dv, 0) + half_);
             }
+        }
         y = line - 5;
         if (y >= top - 9)
             ALONG_ROW(4) {

@@ -10,6 +10,7 @@ from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.kernels.processor.adaptive import DOMAINS
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
 from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.processor.levels import check_balance, root_loss
 from gpusim.kernels.stage import Case, stage
 
 MARGIN = 14  # mirrored pixels around the picture, see best.cl
@@ -23,7 +24,7 @@ ROOM = 128  # of planes around the picture, for whole tiles
 
 
 @stage
-def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0):
+def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)):
     """Directional interpolation with regressed gains and taps that follow the colours, the blur and the noise.
 
     raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
@@ -33,12 +34,15 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
         (0, 0): no noise, measured samples are kept. Otherwise every value, measured ones included, is drawn towards
         the mean of its neighbours where it differs from it by no more than noise does.
     blur: standard deviation [pixel] of the lens's blur as a Gaussian: the more, the shorter the taps.
+    balance: (red, blue): what these channels are multiplied by, noise included, while colours are compared, so that
+        white is as strong in them as in green; what comes out is divided again.
     Borders are mirrored without repeating the end pixel; a frame of one row or column is interpolated bilinearly.
     Nothing is clipped. Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
     Sources: green - other differences, weighted by their gradients: Pekkucuksen & Altunbasak 2010, "Gradient based
     threshold free color filter array interpolation", ICIP; gains regressed on Laplacians: Kiku et al. 2014,
     "Minimized-Laplacian residual interpolation", SPIE 9023; weights of red and blue: Hamilton & Adams 1997, US patent
-    5629734 (expired); roots with an offset: Anscombe 1948, Biometrika 35. Own: taps by colour, shrinkage.
+    5629734 (expired); roots with an offset: Anscombe 1948, Biometrika 35; powers without skew: Anscombe 1953, J. Royal
+    Statistical Society B 15, 229. Own: taps by colour, shrinkage.
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
@@ -49,13 +53,18 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
         raise OutOfRange("noise", noise, "gain >= 0 DN/e- and read >= 0 DN, finite")
     if not 0 <= blur < np.inf:
         raise OutOfRange("blur", blur, "0 <= blur < inf pixels")
+    balance = check_balance(balance)
     raw = device.array(raw, np.uint16)
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale, device=device)
     rows, cols = raw.shape
     root, noisy = int(domain == "root"), int(gain > 0 or read > 0)
-    mosaic = (float(black_level), float(scale), *map(float, code_noise(root, gain * scale, read * scale)),
-              *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
+    offset, variance, shot = code_noise(root, gain * scale, read * scale)
+    red, blue = np.sqrt(balance) if root else balance
+    noise = (gain * scale, read * scale)
+    loss = root_loss(max(noise[0], noise[1] ** 2), noise[1]) if root and noisy else np.zeros(7, np.float32)
+    mosaic = (device.array(loss), float(black_level), float(scale), float(offset), float(variance), float(shot),
+              float(red), float(blue), *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
     columns = (cols + 1) // 2
     out = device.empty((3, rows, cols))
     defines = {"ROOT": root, "NOISY": noisy}
@@ -137,6 +146,10 @@ def cases():
         yield _case(f"{domain} noisy ramp", random.poisson(ramp).astype(np.uint16), "GBRG", domain, noise=noise)
         yield _case(f"{domain} read noise alone", random.poisson(ramp).astype(np.uint16), "BGGR", domain,
                     noise=(0.0, 3.0))
+        for number, balance in enumerate(((1.7, 2.9), (0.6, 1.0))):
+            raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
+            yield _case(f"{domain} balanced {balance}", raw, ("GRBG", "BGGR")[number], domain,
+                        noise=noise if number else (0.0, 0.0), balance=balance)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(f"{domain} flat", {"raw": np.full((9, 9), 4096 + 64, np.uint16), "phase": "RGGB",

@@ -15,19 +15,26 @@ is g x + r^2; that of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g (Anscom
    over the n sites within 3 pixels, l = (b of the row, b of the column), and F = A G + the mean of the two pairs of
    neighbouring F - A G with weights 1 / (|p - q| + D + 2 sqrt v): first across the diagonals, then along the axes.
 With noise every value e is drawn towards the mean m of its neighbours (bilinear's for green; the four nearest of the
-same colour for measured ones):  m + y (y^2 + k v) / (y^2 + K v), y = e - m.
+same colour for measured ones):  m + y s, s = (z^2 + k v) / (z^2 + K v), z = y = e - m; in "root" so that means stay:
+    m and e are squares, y = e - m, z = (1 - f) y / (2 sqrt m) + f (sqrt e - sqrt m),
+f being 2/3 of the share that shot noise has in the variance: z is that difference in whose domain the noise has no skew
+(photons: the power 2/3, Anscombe 1953; read noise: the values), for y s has the mean of y then. Means of roots get back
+what they lack (`root_loss`), by the share of the variance that they remove on flat fields: KEPT remains.
+Red and blue codes are larger by a factor: the root of `balance` in "root", `balance` in "linear"; their noise too.
 """
 
 import numpy as np
 
 from gpusim.kernels.processor.bilinear_ref import bilinear
+from gpusim.kernels.processor.levels import root_loss
 
 EDGE, DARK, ALIKE = 5 / 255, 10 / 255, 2 / 255  # E, K, D
 COLORED = 0.3  # T
+KEPT_FOUND, KEPT_GREEN = 0.34, 0.45  # of the variance: in red and blue found elsewhere, in green before it is drawn
 RIM = 14
 
 
-def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0):
+def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blur=0.0, balance=(1.0, 1.0)):
     """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
     if 1 in raw.shape:
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
@@ -43,12 +50,16 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
             gain = max(gain, read**2)
             offset = 0.375 * gain + read**2 / gain
         constant, slope = gain / 4, 0.0
-    variance = lambda level: constant + slope * np.maximum(level, 0)  # noqa: E731
+    factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))
     c = np.pad(x + offset, RIM, mode="reflect")
     if domain == "root":
         c = np.sign(c) * np.sqrt(np.abs(c))
+        factors = {letter: np.sqrt(factor) for letter, factor in factors.items()}
     letters = np.array(list(phase))[np.add.outer(2 * (np.arange(c.shape[0]) % 2), np.arange(c.shape[1]) % 2)]
     is_green = letters == "G"
+    own = np.vectorize(factors.get)(letters)
+    c = c * own
+    variance = lambda level, of=1.0: of * (of * constant + slope * np.maximum(level, 0))  # noqa: E731
 
     differences, steps = [], []
     for axis in (1, 0):
@@ -56,7 +67,8 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
         bend = 2 * c - at(c, -2) - at(c, 2)
         other = (at(c, -1) + at(c, 1) - at(c, -3) - at(c, 3)) / 2
         near = lambda plane: np.roll(plane, 1, axis) + np.roll(plane, -1, axis)  # noqa: B023, E731
-        a = np.clip((near(bend * other) + 2 * prior) / (near(other**2) + 2 * prior + 10 * variance(near(c) / 2)), 0, 1)
+        damping = 10 * variance(near(c) / 2, np.roll(own, 1, axis))
+        a = np.clip((near(bend * other) + 2 * prior) / (near(other**2) + 2 * prior + damping), 0, 1)
         d = np.where(is_green, -1, 1) * (near(c) / 2 + a * bend / 4 - c)
         step = np.abs(at(d, -1) - at(d, 1))
         differences.append(d)
@@ -75,9 +87,10 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
     green = np.where(is_green, c, c + short + alpha * (far - short))
     kept = c
     if noisy:
-        cross, corners, apart = (_ring(c, *places) for places in (AXES, DIAGONALS, FAR_AXES))
-        kept = _drawn(c, np.where(is_green, corners, apart), variance, 0.2, 3)
-        green = np.where(is_green, kept, _drawn(green, cross, variance, 0, 4))
+        drawn = _Drawing(domain == "root", variance, offset, root_loss(gain, read) if domain == "root" else None)
+        cross, corners, apart = (drawn.mean(c, *places) for places in (AXES, DIAGONALS, FAR_AXES))
+        kept = drawn(c, np.where(is_green, corners, apart), own, 0.2, 3, 1.0)
+        green = np.where(is_green, kept, drawn(green, cross, 1.0, 0, 3.5, KEPT_GREEN))
 
     bends = lambda plane: [2 * plane - np.roll(plane, 2, axis) - np.roll(plane, -2, axis) for axis in (0, 1)]  # noqa: E731
     square = sum(b * b for b in bends(green))
@@ -89,14 +102,17 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
         with np.errstate(invalid="ignore"):
             a = np.clip((_window(sites * product) + n * prior)
                         / (_window(sites * square) + n * prior + 5 * n * variance(green)), 0, 1)
-        limit = ALIKE + 2 * np.sqrt(variance(green))
+        limit = ALIKE + 2 * np.sqrt(variance(green, factors[color]))
         diagonal = _blend(c, green, a, limit, DIAGONALS)
         known = np.where(is_green, 0, np.where(sites, c, diagonal))
         planes[color] = np.where(sites, kept, np.where(is_green, _blend(known, green, a, limit, AXES), diagonal))
-    result = np.stack([planes[color][RIM:-RIM, RIM:-RIM] for color in "RGB"])
-    if domain == "root":
-        result = result * np.abs(result) - offset + 0.75 * constant * noisy  # what averaging took from the mean square
+    result = np.stack([planes[color][RIM:-RIM, RIM:-RIM] / factors[color] for color in "RGB"])
     measured = np.stack([letters[RIM:-RIM, RIM:-RIM] == color for color in "RGB"])
+    if domain == "root":
+        found = np.where(measured, 0, [[[1]], [[0]], [[1]]]) * noisy
+        result = result * np.abs(result) - offset
+        if noisy:
+            result += found * (1 - KEPT_FOUND) * drawn.lost(result + offset)
     return result if noisy else np.where(measured, x, result)
 
 
@@ -105,14 +121,37 @@ DIAGONALS = ((-1, -1), (1, 1), (-1, 1), (1, -1))
 FAR_AXES = ((0, -2), (0, 2), (-2, 0), (2, 0))
 
 
-def _ring(plane, *places):
-    return sum(np.roll(plane, place, (0, 1)) for place in places) / len(places)
+class _Drawing:
+    """Codes drawn towards a mean of others where they differ by no more than noise."""
 
+    def __init__(self, root, variance, offset, loss):
+        self.root, self.variance, self.offset, self.loss = root, variance, offset, loss
 
-def _drawn(value, mean, variance, kept, reach):
-    """`value` drawn towards `mean` where they differ by no more than noise."""
-    change, v = value - mean, variance(mean)
-    return mean + change * (change**2 + kept * v) / (change**2 + reach * v + 1e-20)
+    def mean(self, code, *places):
+        """Mean of neighbours; in "root" that of their squares."""
+        values = code * np.abs(code) if self.root else code
+        return sum(np.roll(values, place, (0, 1)) for place in places) / len(places)
+
+    def lost(self, square):
+        """What the squares of mean roots lack."""
+        near, far, *terms = self.loss.astype(np.float64)
+        return np.polyval(terms, np.minimum(1, far / (near + np.abs(square))))
+
+    def __call__(self, code, mean, factor, kept, reach, left):
+        """factor: of these codes. left: share of the noise's variance that they have themselves."""
+        if not self.root:
+            change, v = code - mean, self.variance(mean, factor)
+            return mean + change * (change**2 + kept * v) / (change**2 + reach * v + 1e-20)
+        v = self.variance(mean, factor)
+        square = code * np.abs(code)
+        square = square + (1 - left) * self.lost(square)  # left is 1 where the factor is not
+        level = np.maximum((4 * mean + square) / 5, v)
+        photons = np.maximum(level - self.offset * factor**2, 0) / np.maximum(level - 1.5 * v, 1e-20)
+        power = photons * 2 / 3
+        root = lambda a: np.sign(a) * np.sqrt(np.abs(a))  # noqa: E731
+        z = (1 - power) * (square - mean) / (2 * np.sqrt(level)) + power * (root(square) - root(mean))
+        square = mean + (square - mean) * (z**2 + kept * v) / (z**2 + reach * v + 1e-20)
+        return np.sign(square) * np.sqrt(np.abs(square))
 
 
 def _window(plane):

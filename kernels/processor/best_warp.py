@@ -14,6 +14,9 @@ DARK = wp.constant(10.0 / 255.0)
 ALIKE = wp.constant(2.0 / 255.0)
 COLORED = wp.constant(0.3)
 KEPT_REACH = wp.constant(3.0)
+GREEN_REACH = wp.constant(3.5)
+KEPT_FOUND = wp.constant(0.34)
+KEPT_GREEN = wp.constant(0.45)
 PLANE = wp.array[float]  # rows of `width`, one after the other: pixel c has neighbours at c +- 1 and c +- width
 
 
@@ -25,22 +28,52 @@ def encode(x: float, root: int):
 
 
 @wp.func
-def decode(code: float, offset: float, variance: float, root: int):
-    """Most of the noise's share of the square is gone."""
-    return wp.where(root == 0, code, code * wp.abs(code) - (offset - 0.75 * variance))
+def decode(code: float, offset: float, root: int):
+    return wp.where(root == 0, code, code * wp.abs(code) - offset)
 
 
 @wp.func
-def noise_of(level: float, variance: float, shot: float):
-    return variance + shot * wp.max(level, 0.0)
+def lost(square: float, loss: wp.array[float]):
+    """Return what the square of a mean root lacks, for means that keep none of the noise's variance."""
+    near = wp.min(loss[1] / (loss[0] + wp.abs(square)), 1.0)
+    return (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
 
 
 @wp.func
-def draw(value: float, smooth: float, noise: float, kept: float, reach: float):
-    """Return `value` drawn towards `smooth`, the more the less their difference exceeds the noise."""
-    change = value - smooth
-    square = change * change
-    return smooth + change * (square + kept * noise) / (square + reach * noise + 1.0e-20)
+def decode_found(code: float, offset: float, loss: wp.array[float], root: int, noisy: int):
+    """Of a value found from the codes of others: a mean that keeps a part of the noise."""
+    value = decode(code, offset, root)
+    if root != 0 and noisy != 0:
+        value += (1.0 - KEPT_FOUND) * lost(code * code, loss)
+    return value
+
+
+@wp.func
+def noise_of(level: float, factor: float, variance: float, shot: float):
+    return factor * (factor * variance + shot * wp.max(level, 0.0))
+
+
+@wp.func
+def signal_of(code: float, root: int):
+    """Return what means are taken of, so that they stay."""
+    return wp.where(root == 0, code, code * wp.abs(code))
+
+
+@wp.func
+def draw(value: float, mean: float, factor: float, kept: float, reach: float, offset: float, variance: float,
+         shot: float, root: int):
+    """Return the code of `value` drawn towards `mean` (signals), the more the less they differ by more than noise."""
+    change = value - mean
+    apart = change
+    noise = noise_of(mean, factor, variance, shot)
+    if root != 0:
+        noise = factor * factor * variance
+        level = wp.max(0.2 * (4.0 * mean + value), noise)
+        photons = wp.max(level - factor * factor * offset, 0.0) / wp.max(level - 1.5 * noise, 1.0e-20)
+        power = photons * (2.0 / 3.0)
+        apart = (1.0 - power) * (change / (2.0 * wp.sqrt(level))) + power * (encode(value, root) - encode(mean, root))
+    square = apart * apart
+    return encode(mean + change * ((square + kept * noise) / (square + reach * noise + 1.0e-20)), root)
 
 
 @wp.func
@@ -72,13 +105,14 @@ def other_bend(code: PLANE, c: int, width: int, i: int, vertical: int):
 
 
 @wp.func
-def difference(code: PLANE, c: int, width: int, vertical: int, variance: float, shot: float, prior: float):
+def difference(code: PLANE, c: int, width: int, vertical: int, factor: float, variance: float, shot: float,
+               prior: float):
     """Return the interpolated other colour of the row (column) minus the own one."""
     before = other_bend(code, c, width, -1, vertical)
     after = other_bend(code, c, width, 1, vertical)
     sides = along(code, c, width, -1, 0, vertical) + along(code, c, width, 1, 0, vertical)
     product = own_bend(code, c, width, -1, vertical) * before + own_bend(code, c, width, 1, vertical) * after
-    damping = 2.0 * prior + 10.0 * noise_of(0.5 * sides, variance, shot)
+    damping = 2.0 * prior + 10.0 * noise_of(0.5 * sides, factor, variance, shot)
     gain = wp.clamp((product + 2.0 * prior) / (before * before + after * after + damping), 0.0, 1.0)
     return 0.5 * sides + 0.25 * gain * own_bend(code, c, width, 0, vertical) - code[c]
 
@@ -134,6 +168,29 @@ def cross(plane: PLANE, c: int, width: int, n: int):
 
 
 @wp.func
+def cross_signal(code: PLANE, c: int, width: int, n: int, root: int):
+    """The same of signals, their mean."""
+    up = signal_of(code[c - n * width], root)
+    left = signal_of(code[c - n], root)
+    return 0.25 * ((up + signal_of(code[c + n * width], root)) + (left + signal_of(code[c + n], root)))
+
+
+@wp.func
+def corner_signal(code: PLANE, c: int, width: int, root: int):
+    """Return the mean signal of the four diagonal neighbours."""
+    first = signal_of(code[c - width - 1], root) + signal_of(code[c + width + 1], root)
+    return 0.25 * (first + (signal_of(code[c - width + 1], root) + signal_of(code[c + width - 1], root)))
+
+
+@wp.func
+def factor_of(y: int, x: int, red_row: int, red_col: int, red: float, blue: float):
+    """Return the factor of the codes of the pixel at this row and column."""
+    if (x ^ first_own(y, red_row, red_col)) & 1 == 1:
+        return 1.0
+    return wp.where(own_plane(y, red_row) == 0, red, blue)
+
+
+@wp.func
 def gain_of(product: float, square: float, sites: float, noise: float, prior: float):
     damping = sites * prior + 5.0 * sites * noise
     return wp.clamp((product + sites * prior) / (square + damping), 0.0, 1.0)
@@ -158,44 +215,49 @@ def rest(plane: PLANE, green: PLANE, c: int, gain: float):
 
 @wp.func
 def axial_at(code: PLANE, other: PLANE, green: PLANE, square: PLANE, product: PLANE, c: int, width: int, vertical: int,
-             variance: float, shot: float, prior: float):
+             factor: float, variance: float, shot: float, prior: float):
     """Return, at a green site, the colour that is measured along one axis, and was found across it."""
     level = green[c]
-    noise = noise_of(level, variance, shot)
+    noise = noise_of(level, 1.0, variance, shot)
     gain = gain_of(sites_along(product, c, width, vertical), sites_along(square, c, width, vertical), 12.0, noise,
                    prior)
     measured = wp.where(vertical == 1, width, 1)
     found = width + 1 - measured
     return gain * level + blend(rest(code, green, c - measured, gain), rest(code, green, c + measured, gain),
                                 rest(other, green, c - found, gain), rest(other, green, c + found, gain),
-                                ALIKE + 2.0 * wp.sqrt(noise))
+                                ALIKE + 2.0 * wp.sqrt(noise_of(level, factor, variance, shot)))
 
 
 @wp.kernel
 def encode_all(raw: wp.array2d[wp.uint16], code: PLANE, low: int, width: int,
-               black_level: float, scale: float, offset: float, variance: float, shot: float,
-               longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+               loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+               red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                rows: int, cols: int, root: int, noisy: int):
     y, x = wp.tid()
     number = float(raw[mirror(y - MARGIN, rows), mirror(x - MARGIN, cols)])
-    code[y * width + x] = encode((number - black_level) * scale + offset, root)
+    factor = factor_of(y - MARGIN, x - MARGIN, red_row, red_col, red, blue)
+    code[y * width + x] = encode((number - black_level) * scale + offset, root) * factor
 
 
 @wp.kernel
 def differences(code: PLANE, across: PLANE, down: PLANE, low: int, width: int,
-                black_level: float, scale: float, offset: float, variance: float, shot: float,
-                longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+                loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+                red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
                 rows: int, cols: int, root: int, noisy: int):
     i, j = wp.tid()
     c = (i + low) * width + j + low
-    across[c] = difference(code, c, width, 0, variance, shot, prior)
-    down[c] = difference(code, c, width, 1, variance, shot, prior)
+    y = i + low - MARGIN
+    x = j + low - MARGIN
+    beside = factor_of(y, x + 1, red_row, red_col, red, blue)
+    below = factor_of(y + 1, x, red_row, red_col, red, blue)
+    across[c] = difference(code, c, width, 0, beside, variance, shot, prior)
+    down[c] = difference(code, c, width, 1, below, variance, shot, prior)
 
 
 @wp.kernel
 def greens(code: PLANE, across: PLANE, down: PLANE, green: PLANE, low: int, width: int,
-           black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+           loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+           red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
     i, j = wp.tid()
     y = i + low
@@ -215,20 +277,24 @@ def greens(code: PLANE, across: PLANE, down: PLANE, green: PLANE, low: int, widt
     alpha = (longest * alike + shortest * apart) / (alike + apart)
     value = here + (short_taps + alpha * (long_taps - short_taps))
     if noisy == 1:
-        value = draw(value, 0.25 * axial, noise_of(0.25 * axial, variance, shot), 0.0, 4.0)
+        value_signal = signal_of(value, root)
+        if root == 1:
+            value_signal += (1.0 - KEPT_GREEN) * lost(value * value, loss)
+        value = draw(value_signal, cross_signal(code, c, width, 1, root), 1.0, 0.0, GREEN_REACH, offset, variance,
+                     shot, root)
     green[c] = value
     c += 1 - 2 * own
     value = code[c]
     if noisy == 1:
-        mean = 0.25 * ring(code, c, width, 1, 1)
-        value = draw(value, mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH)
+        value = draw(signal_of(value, root), corner_signal(code, c, width, root), 1.0, 0.2, KEPT_REACH, offset,
+                     variance, shot, root)
     green[c] = value
 
 
 @wp.kernel
 def slopes(code: PLANE, green: PLANE, square: PLANE, product: PLANE, low: int, width: int,
-           black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+           loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+           red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
     i, j = wp.tid()
     y = i + low
@@ -242,49 +308,55 @@ def slopes(code: PLANE, green: PLANE, square: PLANE, product: PLANE, low: int, w
 
 @wp.kernel
 def diagonals(code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: PLANE, low: int, width: int,
-              black_level: float, scale: float, offset: float, variance: float, shot: float,
-              longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+              loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+              red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
               rows: int, cols: int, root: int, noisy: int):
     i, j = wp.tid()
     y = i + low
     own = first_own(y - MARGIN, red_row, red_col)
     c = y * width + low + 2 * j + own
     level = green[c]
-    noise = noise_of(level, variance, shot)
+    noise = noise_of(level, 1.0, variance, shot)
+    factor = wp.where(own_plane(y - MARGIN, red_row) == 0, blue, red)  # of the colour that this row has not
+    limit = ALIKE + 2.0 * wp.sqrt(noise_of(level, factor, variance, shot))
     gain = gain_of(sites_around(product, c, width), sites_around(square, c, width), 16.0, noise, prior)
     other[c] = gain * level + blend(
         rest(code, green, c - width - 1, gain), rest(code, green, c + width + 1, gain),
-        rest(code, green, c - width + 1, gain), rest(code, green, c + width - 1, gain), ALIKE + 2.0 * wp.sqrt(noise))
+        rest(code, green, c - width + 1, gain), rest(code, green, c + width - 1, gain), limit)
 
 
 @wp.kernel
 def colors(raw: wp.array2d[wp.uint16], code: PLANE, green: PLANE, square: PLANE, product: PLANE, other: PLANE,
            rgb: wp.array3d[float], low: int, width: int,
-           black_level: float, scale: float, offset: float, variance: float, shot: float,
-           longest: float, shortest: float, prior: float, red_row: int, red_col: int,
+           loss: wp.array[float], black_level: float, scale: float, offset: float, variance: float, shot: float,
+           red: float, blue: float, longest: float, shortest: float, prior: float, red_row: int, red_col: int,
            rows: int, cols: int, root: int, noisy: int):
     row, pair = wp.tid()
     first = own_plane(row, red_row)
     own = first_own(row, red_row, red_col)
+    own_factor = wp.where(first == 0, red, blue)
+    other_factor = wp.where(first == 0, blue, red)
+    own_inverse = 1.0 / own_factor
+    other_inverse = 1.0 / other_factor
     column = 2 * pair + own
     c = (row + low) * width + column + low
     if column < cols:
         value = (float(raw[row, column]) - black_level) * scale  # exactly what was measured, not a squared root
         if noisy == 1:
-            mean = 0.25 * cross(code, c, width, 2)
-            value = decode(draw(code[c], mean, noise_of(mean, variance, shot), 0.2, KEPT_REACH),
-                           offset, variance, root)
+            value = decode(draw(signal_of(code[c], root), cross_signal(code, c, width, 2, root), own_factor, 0.2,
+                                KEPT_REACH, offset, variance, shot, root) * own_inverse, offset, root)
         rgb[first, row, column] = value
-        rgb[1, row, column] = decode(green[c], offset, variance, root)
-        rgb[2 - first, row, column] = decode(other[c], offset, variance, root)
+        rgb[1, row, column] = decode(green[c], offset, root)
+        rgb[2 - first, row, column] = decode_found(other[c] * other_inverse, offset, loss, root, noisy)
     column = 2 * pair + 1 - own
     c = (row + low) * width + column + low
     if column < cols:
         value = (float(raw[row, column]) - black_level) * scale
         if noisy == 1:
-            value = decode(green[c], offset, variance, root)
-        measured_along = axial_at(code, other, green, square, product, c, width, 0, variance, shot, prior)
-        measured_across = axial_at(code, other, green, square, product, c, width, 1, variance, shot, prior)
-        rgb[first, row, column] = decode(measured_along, offset, variance, root)
+            value = decode(green[c], offset, root)
+        measured_along = axial_at(code, other, green, square, product, c, width, 0, own_factor, variance, shot, prior)
+        measured_across = axial_at(code, other, green, square, product, c, width, 1, other_factor, variance, shot,
+                                   prior)
+        rgb[first, row, column] = decode_found(measured_along * own_inverse, offset, loss, root, noisy)
         rgb[1, row, column] = value
-        rgb[2 - first, row, column] = decode(measured_across, offset, variance, root)
+        rgb[2 - first, row, column] = decode_found(measured_across * other_inverse, offset, loss, root, noisy)

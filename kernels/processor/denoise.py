@@ -20,6 +20,12 @@ Pixels are compared `SEARCH` periods of the mosaic around, so that all colours o
 their own: with t the mean square of the patches' differences, which is 2 where only noise differs,
 
     weight = min(1, max(0, 1 - (t / strength^2 - 2) / SOFT))^2
+
+That alone would average the two greens of a Bayer mosaic apart, and what noise is left in their difference is a maze at
+the highest frequency. So a pixel whose diagonal neighbours are of its colour in a period of 2 x 2 also meets the 16
+of them 1 or 3 pixels down and along. Patches are there the nine pixels next to one another on diagonals, all of that
+colour. Their weights are multiplied by what makes them together as heavy as those of the first kind, by MOST_TWIN at
+most: where all look alike, both greens have the same part in the mean, and their difference, even of their gains, none.
 """
 
 import numpy as np
@@ -33,8 +39,9 @@ from gpusim.kernels.stage import Case, stage
 
 SEARCH = 2  # periods each way
 SOFT = 6.0  # beyond the expected 2, where the weight is 0; 5 to 8 differ by less than .1 dB
+MOST_TWIN = 2.0  # flat fields take 25 / 16, for 24 pixels and the own one against 16; more would blur
 BAND = 4  # rows that a work-item does (denoise_warp.py too): they share the squares of their differences
-CHUNK, SPARE = 64, 8  # columns that a CPU's work-item does, and columns beyond that it reads
+CHUNK, SPARE = 64, 8  # columns that a CPU's work-item does, and columns beyond that it reads: four are needed
 
 
 @stage
@@ -65,12 +72,13 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
         return shade(raw, np.ones((int(cfa.max()) + 1, 2, 2), np.float32), cfa=cfa, black_level=black_level,
                      scale=scale, device=device)
     lines = device.kind == "opencl" and not device.is_gpu
-    chunk, spare = (CHUNK, SPARE) if lines else (1, 2)
+    chunk, spare = (CHUNK, SPARE) if lines else (1, 4)
     constant = read * read + 0.375 * gain * gain
     margin_y, margin_x = (SEARCH * n + 1 for n in cfa.shape)
     bands, chunks = -(-rows // BAND), -(-cols // chunk)
     code = device.empty((bands * BAND + 2 * margin_y, chunks * chunk + 2 * margin_x + spare))
     out = device.empty((rows, cols), np.uint16)
+    twins = [MOST_TWIN * float(cfa.shape == (2, 2) and cfa[0, x] == cfa[1, 1 - x]) for x in (0, cfa.shape[1] - 1)]
     group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
     device.launch("processor.denoise", "stabilise", (code.shape[0], 1) if lines else code.shape,
                   device.array(raw, np.uint16), code, float(black_level), float(gain), float(constant),
@@ -78,8 +86,8 @@ def denoise(device, raw, *, cfa, black_level, scale, noise, strength=1.0):
                   group=group, defines=defines)
     device.launch("processor.denoise", "denoise", (bands, chunks), code, out,
                   float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2)), float(gain / 4), float(np.sqrt(constant)),
-                  float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *cfa.shape, margin_y,
-                  margin_x, rows, cols, code.shape[1], group=group, defines=defines)
+                  float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *twins, *cfa.shape,
+                  margin_y, margin_x, rows, cols, code.shape[1], group=group, defines=defines)
     return out
 
 
@@ -89,7 +97,8 @@ def cases():
     why = ("u and its mean have some 2^-24 x 40 of the largest u, 2 sqrt(4095 / g) <= 130, which is < 4e-4 of a "
            "standard deviation of noise; that is at most 61439 / 4031 sqrt(4095 g + s^2) < 1000 steps, so .4: the "
            "rounding to whole numbers differs by one step at most")
-    for name, cfa in (("Bayer", BAYER), ("GRBG", ((1, 0), (2, 1))), ("X-Trans", X_TRANS), ("grey", ((0,),)),
+    for name, cfa in (("Bayer", BAYER), ("GRBG", ((1, 0), (2, 1))), ("GBRG", ((1, 2), (0, 1))),
+                      ("checkers", ((0, 1), (1, 0))), ("X-Trans", X_TRANS), ("grey", ((0,),)),
                       ("8x8", random.permutation(np.arange(64) % 4).reshape(8, 8))):
         cfa = np.array(cfa, np.int32)
         for rows, cols in (cfa.shape, (9, 11), (45, 131)):

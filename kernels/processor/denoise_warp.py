@@ -71,6 +71,27 @@ def weigh(code: wp.array2d[float], y: int, x: int, dy: int, dx: int, most: float
 
 
 @wp.func
+def square(code: wp.array2d[float], y: int, x: int, dy: int, dx: int):
+    difference = code[y, x] - code[y + dy, x + dx]
+    return difference * difference
+
+
+@wp.func
+def weigh_twins(code: wp.array2d[float], y0: int, x: int, dy: int, dx: int, most: float, per_square: float):
+    """Weights by patches of the nine pixels next to one another on diagonals."""
+    weights = Band()
+    for r in range(4):
+        y = y0 + r
+        corners = (square(code, y - 1, x - 1, dy, dx) + square(code, y + 1, x + 1, dy, dx)) + (
+            square(code, y - 1, x + 1, dy, dx) + square(code, y + 1, x - 1, dy, dx))
+        ends = (square(code, y - 2, x, dy, dx) + square(code, y + 2, x, dy, dx)) + (
+            square(code, y, x - 2, dy, dx) + square(code, y, x + 2, dy, dx))
+        root = wp.clamp(most - per_square * ((corners + ends) + square(code, y, x, dy, dx)), 0.0, 1.0)
+        weights[r] = root * root
+    return weights
+
+
+@wp.func
 def weighted(code: wp.array2d[float], y: int, x: int, weights: Band):
     values = Band()
     for r in range(4):
@@ -91,6 +112,8 @@ def denoise(
     root: float,
     scale: float,
     new_black: float,
+    even_twins: float,
+    odd_twins: float,
     # sizes:
     period_y: int,
     period_x: int,
@@ -122,9 +145,27 @@ def denoise(
             number += third + fourth
         mean += more
         count += number
+    if even_twins > 0.0 or odd_twins > 0.0:
+        twin_sum = Band()
+        twin_count = Band()
+        for step in range(4):
+            down = 1 + step / 2 * 2
+            right = 1 + step % 2 * 2
+            a = weigh_twins(code, y, x, down, right, most, per_square)
+            b = weigh_twins(code, y, x, -down, -right, most, per_square)
+            c = weigh_twins(code, y, x, down, -right, most, per_square)
+            d = weigh_twins(code, y, x, -down, right, most, per_square)
+            twin_sum += (weighted(code, y + down, x + right, a) + weighted(code, y - down, x - right, b)) + (
+                weighted(code, y + down, x - right, c) + weighted(code, y - down, x + right, d))
+            twin_count += (a + b) + (c + d)
+        for r in range(4):
+            most_twin = wp.where((band * BAND + r + x0) % 2 == 0, even_twins, odd_twins)
+            share = wp.min(most_twin, count[r] / wp.max(twin_count[r], 1.0e-6))
+            mean[r] += share * twin_sum[r]
+            count[r] += share * twin_count[r]
     for r in range(4):
         if band * BAND + r < rows:
             inverse = 1.0 / count[r]
             u = mean[r] * inverse
-            d = (quarter_gain * u + root) * u + quarter_gain * (1.0 - inverse)
-            out[band * BAND + r, x0] = wp.uint16(int(wp.clamp(d * scale + new_black, 0.0, 65535.0) + 0.5))
+            signal = (quarter_gain * u + root) * u + quarter_gain * (1.0 - inverse)
+            out[band * BAND + r, x0] = wp.uint16(int(wp.clamp(signal * scale + new_black, 0.0, 65535.0) + 0.5))

@@ -15,24 +15,36 @@
 #define TO_WHOLE convert_int8
 #define FIRST_LANES ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 
-// A work-item does a row.
+// A work-item does a row. BALANCED frames have a period of 2.
 __kernel void encode(
     // in:
-    __global const ushort *restrict raw,  // [rows][cols]
+    __global const ushort *restrict raw,     // [rows][cols]
+    __global const float *restrict factors,  // [period_y][period_x]
     // out:
-    __global float *restrict codes,       // [rows + 2 REACH][stride]
+    __global float *restrict codes,          // [rows + 2 REACH][stride]
     // params:
-    const float shift, const float zero,
+    const float shift, const float zero, const int shift_y, const int shift_x,
     // sizes:
     const int period_y, const int period_x, const int rows, const int cols, const int stride)
 {
     const int y = get_global_id(1);
     __global const ushort *from = raw + (size_t)outside(y - REACH, rows, period_y) * cols;
     __global float *to = codes + (size_t)y * stride;
-    for (int x = 0; x + 8 <= cols; x += 8) vstore8(code(convert_float8(vload8(0, from + x)), shift, zero), 0, to + x + REACH);
+#if BALANCED
+    __global const float *here = factors + ((y - REACH + shift_y) & 1) * 2;
+    const float even = here[shift_x & 1], odd = here[1 - (shift_x & 1)];
+#define FACTORS (float8)(even, odd, even, odd, even, odd, even, odd)
+#define FACTOR(x) ((x) & 1 ? odd : even)
+#else
+#define FACTORS 1.0f
+#define FACTOR(x) 1.0f
+#endif
+    for (int x = 0; x + 8 <= cols; x += 8)
+        vstore8(code(convert_float8(vload8(0, from + x)), FACTORS, shift, zero), 0, to + x + REACH);
     for (int x = 0; x < stride; ++x) {
         if (x == REACH) x += cols / 8 * 8;
-        to[x] = code((float8)from[outside(min(x - REACH, cols + REACH - 1), cols, period_x)], shift, zero).s0;
+        const float8 number = (float8)from[outside(min(x - REACH, cols + REACH - 1), cols, period_x)];
+        to[x] = code(number, (float8)FACTOR(x - REACH), shift, zero).s0;
     }
 }
 
@@ -187,6 +199,7 @@ __kernel void apply(
     __global const float *restrict levels,   // [rows][cols]
     __global const float *restrict weights,  // [LEVELS][UNITS][COMPUTED][TERMS]
     __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: where they go, the sample last
+    __global const float *restrict loss,     // of roots, see levels.py
     // out:
     __global float *restrict out,            // [COMPUTED + KEPT][rows][cols]
     // params:
@@ -201,7 +214,7 @@ __kernel void apply(
         real sums[TERMS];
         __global const float *at = codes + (size_t)(y + REACH) * stride + REACH + x;
 #pragma unroll
-        for (int g = 0; g < TERMS; ++g) sums[g] = g == CONSTANT ? 1.0f : 0.0f;
+        for (int g = 0; g < TERMS; ++g) sums[g] = g == CONSTANT && !UNBIASED ? 1.0f : 0.0f;
 #define F(group, dy, dx) sums[group] += LOAD(at + (dy) * stride + (dx));
         TAPS
 #undef F
@@ -236,7 +249,21 @@ __kernel void apply(
 #endif
 #if ROOT
             code += zero;
+#if UNBIASED
+            real share;
+#pragma unroll
+            for (int i = 0; i < LANES; ++i) {
+                __global const float *left = weights + from[i] + o * TERMS + CONSTANT;
+#if LEVELS > 1
+                ((float *)&share)[i] = *left + ((float *)&part)[i] * (left[UNITS * COMPUTED * TERMS] - *left);
+#else
+                ((float *)&share)[i] = *left;
+#endif
+            }
+            code = code * fabs(code) - offset + share * lost(code, loss);
+#else
             code = code * fabs(code) - offset;
+#endif
 #endif
             found[o] = code * scale;
         }

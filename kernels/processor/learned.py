@@ -8,10 +8,11 @@ import functools
 import numpy as np
 
 from gpusim.data.learned import bayer_table
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.learned import Code, FilterTable, Layout
 from gpusim.kernels.processor.bayer import RED, check_mosaic
 from gpusim.kernels.processor.bilinear import bilinear
+from gpusim.kernels.processor.levels import check_balance, root_loss
 from gpusim.kernels.stage import Case, stage
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
@@ -20,7 +21,8 @@ LOCAL = 48 * 1024  # bytes that any GPU's group may have
 
 
 @stage
-def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None):
+def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None,
+            balance=(1.0, 1.0)):
     """Every pixel by the filter of its position in the mosaic, its class and the level around it.
 
     raw: shape (rows, cols) uint16 [DN]. phase: the sensor's mosaic, "RGGB", "GRBG", "GBRG", "BGGR" or one period of any
@@ -28,6 +30,11 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     black_level [DN]. scale [1/DN]. noise: (gain [DN/e-], read noise [DN]), (0, 0) for none: see `Code`.
     domain: "root" for linear data, "linear" for data that are encoded already; None: what the table was made for.
     table: a FilterTable; None: the built-in one of Bayer mosaics.
+    balance: (red, blue), with tables that give R, G and B of a Bayer mosaic: filters see these channels multiplied by
+        it, so that white is as strong in them as in green, as it was in the photographs that the built-in ones were
+        learned from; what they give is divided again.
+    The square of a mean root is less than the mean, by what `root_loss` says. Tables without a constant, which keep
+    flat fields, get that back by the share of the noise's variance that each filter removes; those with one learned it.
     Bayer and other mosaics with a period of at most 2 are mirrored at borders without repeating the end pixel, others
     repeat their outermost period. A Bayer frame of one row or column is interpolated bilinearly. Nothing is clipped.
     Returns shape (outputs, rows, cols). Raises BadData (a frame smaller than 2 pixels or a period too), OutOfRange,
@@ -39,7 +46,7 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     table = bayer_table() if table is None else table
     layout = table.layout
     shift = layout.shift(phase)
-    code = Code(domain or layout.domain, float(black_level), float(scale), noise)
+    code = _code(domain or layout.domain, black_level, scale, noise, balance, layout)
     if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
         return bilinear(raw, phase="".join(phase), black_level=black_level, scale=scale, device=device)
     rows, cols = raw.shape
@@ -50,7 +57,7 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     prepared = _prepared(device, table, code)
     zero, pixels = float(np.sqrt(code.offset)), (2 * layout.box + 1) ** 2
     unit = STEPS[code.domain] * code.white * pixels
-    from_black = float(code.offset - code.black_level), zero
+    from_black = float(code.offset - code.black_level), zero, prepared.factors
     decoding = zero, float(code.offset), float(scale), code.black_level
     black = 0.0 if code.domain == "root" else float(np.ceil(code.black_level - 0.5))  # where whole codes start
     measures = prepared.least, float(1 / unit), float(black * pixels / unit)
@@ -58,6 +65,14 @@ def learned(device, raw, *, phase, black_level, scale, domain=None, noise=(0.0, 
     out = device.empty((len(layout.outputs), rows, cols))
     (_tiles if device.is_gpu else _passes)(device, prepared, layout, raw, out, measures, from_black, decoding, shift)
     return out
+
+
+def _code(domain, black_level, scale, noise, balance, layout):
+    """The frame's code. Raises OutOfRange, UnknownName."""
+    balance = check_balance(balance)
+    if balance != (1, 1) and not (layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B")):
+        raise OutOfRange("balance", balance, "(1, 1) with a table that does not make R, G, B of RG/GB")
+    return Code(domain, float(black_level), float(scale), noise, balance)
 
 
 def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
@@ -73,7 +88,8 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     across, down = -(-cols // strip), -(-rows // high)
     defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run, "PERIOD_Y": period_y, "PERIOD_X": period_x}
     device.launch(TILES, "learned_tiles", (across * down * items,), raw, prepared.limits,
-                  prepared.knots, prepared.weights, prepared.planes, out, *measures, *from_black, *decoding[1:], *shift,
+                  prepared.knots, prepared.weights, prepared.planes, prepared.factors, prepared.loss, out, *measures,
+                  *from_black[:2], *decoding[1:], *shift,
                   rows, cols, across, defines=prepared.defines | defines, group=(items,))
 
 
@@ -87,16 +103,17 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
     levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
     launch = functools.partial(device.launch, "processor.learned", group=(1, 1) if opencl else None,
                                defines=prepared.defines | {"STRIP": 128, "ROWS": 16})
-    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, raw, codes, *from_black, *layout.period, rows,
-           cols, stride, *(() if opencl else (reach, root)))
+    launch("encode", (codes.shape[0], 1) if opencl else codes.shape, raw, prepared.factors, codes, *from_black[:2],
+           *shift, *layout.period, rows, cols, stride, *(() if opencl else (reach, root)))
     along, high = (128, 16) if opencl else (64, 1)
     rest = () if opencl else (prepared.filters, reach, layout.box, root, layout.strengths.shape[1], len(layout.ratios),
                               len(layout.shares), along)
     launch("classify", (-(-rows // high), -(-cols // along)), codes, prepared.limits, prepared.knots, units, levels,
            *measures, *shift, *layout.period, rows, cols, stride, *rest)
-    rest = () if opencl else (prepared.taps, reach, root, layout.classes, layout.shape[-1])
-    launch("apply", (rows, 1 if opencl else cols), raw, codes, units, levels, prepared.weights, prepared.planes, out,
-           *decoding, rows, cols, stride, *rest)
+    rest = () if opencl else (prepared.taps, reach, root, prepared.defines["UNBIASED"], layout.classes,
+                              layout.shape[-1])
+    launch("apply", (rows, 1 if opencl else cols), raw, codes, units, levels, prepared.weights, prepared.planes,
+           prepared.loss, out, *decoding, rows, cols, stride, *rest)
 
 
 class _Prepared:
@@ -105,6 +122,8 @@ class _Prepared:
     limits: bounds of the strengths, ratios, shares; least: the floor, all as whole numbers. weights: shape (levels,
     positions K, computed, terms), a constant after the groups. planes: where outputs go at each position; if all
     positions keep their sample (`defines["KEPT"]`), that one is last and has no weights. filters, taps: lists for Warp.
+    factors: of the codes of each position. loss: see `root_loss`; if it is given back (`defines["UNBIASED"]`), the
+    place of the constant has the share that is missing.
     """
 
     def __init__(self, device, table: FilterTable, code: Code):
@@ -127,8 +146,12 @@ class _Prepared:
         if code.domain == "linear":  # weights take whole digital numbers there
             counts = np.bincount(layout.groups)
             constant = constant - code.black_level * (weights[..., :groups].astype(np.float64) @ counts)
-        weights[..., groups] = constant
         kept = _samples(layout, weights[..., :groups])
+        weights[..., :groups], left = _balanced(layout, code, weights[..., :groups])
+        unbiased = code.domain == "root" and code.noise[0] > 0 and offsets is None
+        weights[..., groups] = 1 - left if unbiased else constant
+        self.loss = device.array(root_loss(*code.noise) if unbiased else np.zeros(7, np.float32))
+        self.factors = device.array(_factors(layout, code).ravel().astype(np.float32))
         planes = np.array([[o for o in range(outputs) if o != own] + [own] * (own is not None) for own in kept])
         computed = outputs - (None not in kept)
         if computed < outputs:
@@ -154,10 +177,34 @@ class _Prepared:
                          "REACH": self.reach, "SPAN": 2 * layout.box + 1, "BOUNDS": len(bounds),
                          "RATIOS": len(layout.ratios), "SHARES": len(layout.shares), "LEVELS": levels,
                          "CLASSES": classes, "UNITS": positions * classes, "TERMS": terms, "CONSTANT": groups,
-                         "COMPUTED": computed, "KEPT": outputs - computed}
+                         "COMPUTED": computed, "KEPT": outputs - computed, "UNBIASED": int(unbiased),
+                         "BALANCED": int(code.balance != (1, 1))}
 
 
 _prepared = functools.lru_cache(maxsize=16)(_Prepared)
+
+
+def _factors(layout: Layout, code: Code):
+    """What the codes of each position of the mosaic's period are multiplied by, shape (rows, cols)."""
+    return np.array([[code.factors.get(letter, 1.0) if code.balance != (1, 1) else 1.0 for letter in text]
+                     for text in layout.mosaic])
+
+
+def _balanced(layout: Layout, code: Code, filters):
+    """Filters (L, P, K, outputs, G) of codes times their factors that give codes without, and the noise that is left.
+
+    That is the variance of what they give over the code's, shape (L, P, K, outputs).
+    """
+    factors = _factors(layout, code)
+    rows, cols = layout.period
+    weight = filters.astype(np.float64)
+    if code.balance != (1, 1):
+        weight = weight / np.array([code.factors[name] for name in layout.outputs])[:, None]
+    power = np.zeros((layout.positions, filters.shape[-1]))  # of each group's sum
+    for p in range(layout.positions):
+        for (dy, dx), group in zip(layout.taps + divmod(p, cols), layout.groups, strict=True):
+            power[p, group] += factors[dy % rows, dx % cols] ** 2
+    return weight, np.einsum("lpkog,pg->lpko", weight**2, power)
 
 
 def _samples(layout: Layout, filters):
@@ -189,35 +236,43 @@ def cases():
             for phase in RED:
                 yield _case(f"{domain} {noise} {phase} {size[0]}x{size[1]}", raw, bayer_table(), phase=phase,
                             domain=domain, noise=noise)
+            if size[0] > 2 and domain == "root":
+                yield _case(f"balanced {noise} {size[0]}x{size[1]}", raw, bayer_table(), phase=phase, domain="root",
+                            noise=noise, balance=(1.9, 3.7))
+    yield _case("no constant, levels", raw, _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False),
+                phase="GBRG", domain="root", noise=(9.0, 14.0), balance=(0.6, 2.5))
     yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), domain="root", noise=(9.0, 14.0))
     yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
 
 
-def _random_table(mosaic, outputs, levels, contrast, box):
+def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
     """Filters without meaning, of all samples up to 3 pixels away."""
     random = np.random.default_rng(9)
     dy, dx = np.mgrid[-3:4, -3:4]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
     layout = Layout(mosaic, tuple(outputs), "root", taps, np.arange(len(taps)), (contrast, contrast), box, (12, 24),
                     [0.0], [0.01], [[0.05, 0.2]], levels)
-    return FilterTable(layout, random.normal(0.04, 0.1, layout.shape), random.normal(0, 0.1, layout.shape[:-1]))
+    return FilterTable(layout, random.normal(0.04, 0.1, layout.shape),
+                       random.normal(0, 0.1, layout.shape[:-1]) if constant else None)
 
 
 def _case(name, raw, table, black_level=64.3, scale=1 / 4000, **options):
     """A case whose tolerance is all roundings on the way to the largest sum that a filter of the table can make."""
     from gpusim.kernels.processor.learned_ref import learned as reference
 
-    code = Code(options["domain"], black_level, scale, options["noise"])
+    code = Code(options["domain"], black_level, scale, options["noise"], options.get("balance", (1.0, 1.0)))
     inputs = {"raw": raw, "black_level": black_level, "scale": scale, "table": table, **options}
     taps = np.bincount(table.layout.groups)
     largest = (np.abs(table.filters) @ taps).max() * (np.abs(code.measured(raw)).max() + code.black_level)
-    roundings = len(taps) + 8 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
+    largest /= min(code.factors.values())
+    roundings = len(taps) + 12 + 3 * (np.diff(table.layout.levels) ** -1.0).max(initial=0.0)
     peak = np.abs(reference(**inputs)).max() / scale
     slope = 1.0 if code.domain == "linear" else 2 * np.sqrt(peak + code.offset)
     return Case(name, inputs, roundings * 2.0**-24 * largest * slope / peak,
-                "a product and a sum for each group, the constant, weights and black level in float32, the decoding: "
-                "2^-24 each of the largest sum of absolute products, times the slope of the square; the place between "
-                "two levels has three roundings more, divided by their distance. Codes' sums and classes are exact")
+                "a product and a sum for each group, the constant, weights and black level in float32, the decoding, "
+                "and four for what the square lacks, which is smaller than that: 2^-24 each of the largest sum of "
+                "absolute products, times the slope of the square; the place between two levels has three roundings "
+                "more, divided by their distance. Codes' sums and classes are exact")
 
 
 def bench(rows, cols):

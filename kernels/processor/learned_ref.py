@@ -7,6 +7,10 @@ Applications; Tian et al. 2014, Proc. SPIE 9023): A and B are sums over a box of
     share = number of ratios r with min(A, B) + e > r (min(P, Q) + e), P and Q the same as A and B of the detail.
 All of it is done on whole numbers: |contrasts|, rounded to DN or to 1/256 sqrt(DN), so that a pixel's class is the same
 wherever it is computed; for that reason roots are those of float32.
+
+With `balance` the codes of red and blue are multiplied by its roots, and what comes out is divided by them. The
+variance of a code is then v f^2 at a sample of factor f, and that of a filter's output, over v, S = sum w^2 f^2. The
+square of such an output lacks (1 - S) of what the square of a mean of many lacks (see levels.py).
 """
 
 import numpy as np
@@ -14,31 +18,41 @@ import numpy as np
 from gpusim.data.learned import bayer_table
 from gpusim.domain.learned import Code, Layout
 from gpusim.kernels.processor.bilinear_ref import bilinear
+from gpusim.kernels.processor.levels import root_loss
 
 STEPS = {"root": 256.0, "linear": 1.0}  # whole numbers per unit of code
 
 
-def learned(raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None):
+def learned(raw, *, phase, black_level, scale, domain=None, noise=(0.0, 0.0), table=None, balance=(1.0, 1.0)):
     """Raw (rows, cols) [DN] -> (outputs, rows, cols), 1 = white."""
     layout = (table or bayer_table()).layout
     if 1 in raw.shape and layout.mosaic == ("RG", "GB") and layout.outputs == ("R", "G", "B"):
         return bilinear(raw, phase=phase, black_level=black_level, scale=scale)
-    code = Code(domain or layout.domain, black_level, scale, noise)
+    code = Code(domain or layout.domain, black_level, scale, noise, tuple(balance))
     shift = layout.shift(phase)
     filters, offsets, floor, strengths = (table or bayer_table()).at_noise(code.sigma)
-    codes = code.measured(raw)
+    places = positions(layout, raw.shape, shift)
+    factor = np.array([code.factors.get(letter, 1.0) for letter in "".join(layout.mosaic)])
+    codes = code.measured(raw, factor[places])
     classes, levels = classify(codes, code, layout, floor, strengths)
     sums = grouped(codes, layout)
-    places = positions(layout, raw.shape, shift)
+    own = np.array([code.factors.get(name, 1.0) for name in layout.outputs])[:, None, None]
+    unbiased = code.domain == "root" and noise[0] > 0 and offsets is None
+    power = grouped(np.broadcast_to(factor[places] ** 2, raw.shape), layout)
 
-    out = np.zeros((len(layout.outputs), *raw.shape))
+    out, kept = np.zeros((2, len(layout.outputs), *raw.shape))
     for at, weight in hats(levels, layout.levels):
         chosen = filters.astype(np.float32).astype(np.float64)[at, places, classes]  # (rows, cols, outputs, G)
         result = np.einsum("yxog,gyx->oyx", chosen, sums)
         if offsets is not None:
             result += np.moveaxis(offsets.astype(np.float32)[at, places, classes], 2, 0) * np.float64(code.white)
-        out += weight * result
-    return code.decode(out) * scale
+        out += weight * result / own
+        kept += weight * np.einsum("yxog,gyx->oyx", chosen**2, power) / own**2
+    signal = code.decode(out)
+    if unbiased:
+        near, far, *terms = root_loss(*noise).astype(np.float64)
+        signal += (1 - kept) * np.polyval(terms, np.minimum(1, far / (near + (out + np.sqrt(code.offset)) ** 2)))
+    return signal * scale
 
 
 def positions(layout: Layout, shape, shift=(0, 0)):

@@ -28,6 +28,8 @@ __kernel void learned_tiles(
     __global const float *restrict knots,    // [LEVELS]
     __global const float *restrict weights,  // [LEVELS][UNITS][COMPUTED][TERMS]
     __global const int *restrict planes,     // [positions][COMPUTED + KEPT]: where they go, the sample last
+    __global const float *restrict factors,  // [PERIOD_Y][PERIOD_X]
+    __global const float *restrict loss,     // of roots, see levels.py
     // out:
     __global float *restrict out,            // [COMPUTED + KEPT][rows][cols]
     // params:
@@ -49,7 +51,7 @@ __kernel void learned_tiles(
     const int y0 = top - REACH, x0 = left - REACH;
     const int is_inside = y0 >= 0 && x0 >= 0 && y0 + HIGH <= rows && x0 + WIDE <= cols;
     for (int i = item; i < HIGH * WIDE; i += 4 * ITEMS) {
-        float numbers[4];
+        float numbers[4], factor[4];
 #pragma unroll
         for (int j = 0; j < 4; ++j) {
             const int at = min(i + j * ITEMS, HIGH * WIDE - 1);
@@ -59,10 +61,15 @@ __kernel void learned_tiles(
                 x = outside(x, cols, PERIOD_X);
             }
             numbers[j] = (float)raw[y * cols + x];
+#if BALANCED
+            factor[j] = factors[((y + shift_y) & 1) * 2 + ((x + shift_x) & 1)];  // mirroring keeps the colour
+#else
+            factor[j] = 1.0f;
+#endif
         }
 #pragma unroll
         for (int j = 0; j < 4; ++j)
-            if (i + j * ITEMS < HIGH * WIDE) tile[i + j * ITEMS] = code(numbers[j], shift, zero);
+            if (i + j * ITEMS < HIGH * WIDE) tile[i + j * ITEMS] = code(numbers[j], factor[j], shift, zero);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -150,7 +157,7 @@ __kernel void learned_tiles(
         for (int r = 0; r < RUN; ++r) {
             const int at = (first + r + REACH) * WIDE + REACH + min(item, STRIP - 1);
 #pragma unroll
-            for (int g = 0; g < TERMS; ++g) sums[r][g] = g == CONSTANT ? 1.0f : 0.0f;
+            for (int g = 0; g < TERMS; ++g) sums[r][g] = g == CONSTANT && !UNBIASED ? 1.0f : 0.0f;
 #define F(group, dy, dx) sums[r][group] += tile[at + (dy) * WIDE + (dx)];
             TAPS
 #undef F
@@ -201,7 +208,20 @@ __kernel void learned_tiles(
             for (int o = 0; o < COMPUTED; ++o) {
 #if ROOT
                 found[o] += zero;
+#if UNBIASED
+                __global const float *left = weights + units[row * ITEMS + item] * (COMPUTED * TERMS) + o * TERMS + CONSTANT;
+#if LEVELS > 1
+                const float place = levels[row * ITEMS + item];
+                const int below = min((int)place, LEVELS - 2);
+                left += below * (UNITS * COMPUTED * TERMS);
+                const float share = *left + (place - below) * (left[UNITS * COMPUTED * TERMS] - *left);
+#else
+                const float share = *left;
+#endif
+                found[o] = found[o] * fabs(found[o]) - offset + share * lost(found[o], loss);
+#else
                 found[o] = found[o] * fabs(found[o]) - offset;
+#endif
 #endif
                 found[o] *= scale;
             }

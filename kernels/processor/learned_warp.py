@@ -34,11 +34,14 @@ def outside(i: int, n: int, period: int):
 def encode(
     # in:
     raw: wp.array2d[wp.uint16],
+    factors: wp.array[float],
     # out:
     codes: wp.array2d[float],
     # params:
     shift: float,
     zero: float,
+    shift_y: int,
+    shift_x: int,
     # sizes:
     period_y: int,
     period_x: int,
@@ -58,7 +61,8 @@ def encode(
         code = wp.sqrt(wp.abs(shifted))
         if shifted < 0.0:
             code = -code
-        number = wp.floor((code - zero) * GRAIN + 0.5) / GRAIN
+        factor = factors[(v + shift_y) % period_y * period_x + (u + shift_x) % period_x]
+        number = wp.floor((code - zero) * factor * GRAIN + 0.5) / GRAIN
     codes[y, x] = number
 
 
@@ -172,6 +176,7 @@ def apply(
     levels: wp.array2d[float],
     weights: wp.array4d[float],
     planes: wp.array2d[int],
+    loss: wp.array[float],
     # out:
     out: wp.array3d[float],
     # params:
@@ -187,6 +192,7 @@ def apply(
     taps: wp.array2d[int],
     reach: int,
     root: int,
+    unbiased: int,
     classes: int,
     constant: int,
 ):
@@ -202,9 +208,9 @@ def apply(
     found = values()
     upper = values()
     for o in range(computed):
-        found[o] = weights[below, unit, o, constant]
+        found[o] = wp.where(unbiased != 0, 0.0, weights[below, unit, o, constant])
         if weights.shape[0] > 1:
-            upper[o] = weights[below + 1, unit, o, constant]
+            upper[o] = wp.where(unbiased != 0, 0.0, weights[below + 1, unit, o, constant])
     t = int(0)
     while t < taps.shape[0]:
         group = taps[t, 0]
@@ -222,7 +228,16 @@ def apply(
             code = (1.0 - part) * code + part * upper[o]
         if root != 0:
             code += zero
-            code = code * wp.abs(code) - offset
+            square = code * code
+            missing = float(0.0)
+            if unbiased != 0:
+                near = wp.min(loss[1] / (loss[0] + square), 1.0)
+                missing = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
+                share = weights[below, unit, o, constant]
+                if weights.shape[0] > 1:
+                    share += part * (weights[below + 1, unit, o, constant] - share)
+                missing *= share
+            code = code * wp.abs(code) - offset + missing
         out[planes[position, o], y, x] = code * scale
     if planes.shape[1] > computed:
         out[planes[position, computed], y, x] = (float(raw[y, x]) - black_level) * scale

@@ -1,11 +1,15 @@
 """Digital numbers on their way through the processor: their noise, and the scale of corrected mosaics."""
 
+import functools
 import math
+
+import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 
 # A mosaic that was shaded or denoised: black at CORRECTED_BLACK, so that noise below black survives, white at the top.
 CORRECTED_BLACK, CORRECTED_WHITE = 4096, 65535
+MOST_BALANCE = 64  # between channels: one that sees less of white than that shows noise
 
 
 def check_noise(noise) -> tuple[float, float]:
@@ -26,3 +30,53 @@ def check_black(black_level):
     """Refuse a black level [DN] that is none. Raises OutOfRange."""
     if not abs(black_level) < 2**24:
         raise OutOfRange("black_level", black_level, "a finite number below 2^24 DN")
+
+
+def check_balance(balance) -> tuple[float, float]:
+    """Return the factors of red and blue that make white as strong in them as in green. Raises OutOfRange."""
+    try:
+        red, blue = map(float, balance)
+    except (TypeError, ValueError):
+        red = blue = math.nan
+    if not (1 / MOST_BALANCE <= red <= MOST_BALANCE and 1 / MOST_BALANCE <= blue <= MOST_BALANCE):
+        raise OutOfRange("balance", balance, f"two factors (red, blue), 1 / {MOST_BALANCE} .. {MOST_BALANCE}")
+    return red, blue
+
+
+@functools.lru_cache(maxsize=64)
+def root_loss(gain: float, read: float) -> np.ndarray:
+    """What the square of a mean root lacks of the mean, as a polynomial; shape (7,) float32: near, far, a4 .. a0.
+
+    gain, read: variance of x is gain x + read^2, gain > 0, in the unit of x. Its root is u = sgn(y) sqrt|y|,
+    y = x + 3/8 gain + read^2 / gain. With m the mean of u over many x of mean mu,
+
+        mu = m^2 - 3/8 gain - read^2 / gain + a0 + a1 t + .. + a4 t^4,   t = min(1, far / (near + m^2)),
+
+    which is gain / 4 in the light (Anscombe 1948) and differs in the dark, where roots of a few electrons, or of values
+    near and below 0, are no straight line any more (Makitalo & Foi 2013, IEEE Trans. Image Processing 22, 91, have
+    such an inverse for photons without read noise). Least squares over sums of the Poisson and Gaussian distributions:
+    within gain / 50 everywhere and .1 % of mu from gain / 2 on. A mean that keeps the part S of the variance lacks
+    1 - S of it.
+    """
+    sigma = read / gain
+    mean = np.append(0.0, np.geomspace(0.03, 200.0, 80))
+    root = _mean_root(mean, sigma)
+    lack = mean + 0.375 + sigma**2 - root**2
+    far = 1 + root[0] ** 2
+    weight = 1 / np.maximum(mean, 0.2)[:, None]
+    powers = np.vander(far / (1 + root**2), 5)
+    fitted = np.linalg.lstsq(powers * weight, lack * weight[:, 0], rcond=None)[0]
+    return np.append(np.array((gain, far * gain)), fitted * gain).astype(np.float32)
+
+
+def _mean_root(mean, sigma):
+    """Mean of sgn(y) sqrt|y|, y = k + z + 3/8 + sigma^2, k of Poisson with these means, z Gaussian; shape of `mean`."""
+    from scipy.special import gammaln
+
+    count = np.arange(400)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        chance = np.exp(np.where(count == 0, 0.0, count * np.log(mean)[:, None]) - mean[:, None] - gammaln(count + 1))
+    place = np.linspace(-6, 6, 193)
+    normal = np.exp(-place**2 / 2)
+    y = count[:, None] + sigma * place + 0.375 + sigma**2
+    return chance @ (np.copysign(np.sqrt(np.abs(y)), y) @ normal / normal.sum())

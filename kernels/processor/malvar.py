@@ -7,14 +7,17 @@ and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 import numpy as np
 
 from gpusim.kernels.processor.bayer import RED, check_mosaic, red_pixel
+from gpusim.kernels.processor.levels import check_balance
 from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def malvar(device, raw, *, phase, black_level, scale):
+def malvar(device, raw, *, phase, black_level, scale, balance=(1.0, 1.0)):
     """Missing colours as the mean of the nearest samples, corrected by the Laplacian of the pixel's own colour.
 
     raw: shape (rows, cols) uint16 [DN]. phase: "RGGB", "GRBG", "GBRG" or "BGGR". black_level [DN]. scale [1/DN].
+    balance: (red, blue): what these channels are multiplied by for corrections, so that white is as strong in them as
+        in green; what comes out is divided again.
     Measured samples are kept. The mosaic is mirrored at its borders without repeating the end pixel, which keeps every
     sample's colour; an axis of a single pixel mirrors onto itself. Nothing is clipped.
     Returns shape (3, rows, cols). Raises BadData, OutOfRange, UnknownName.
@@ -23,6 +26,7 @@ def malvar(device, raw, *, phase, black_level, scale):
     """
     check_mosaic(raw, scale)
     red_row, red_col = red_pixel(phase)
+    red, blue = check_balance(balance)
     rows, cols = raw.shape
     out = device.empty((3, rows, cols))
     pairs = cols // 2 + 1  # enough for either column phase
@@ -30,8 +34,8 @@ def malvar(device, raw, *, phase, black_level, scale):
     fours = device.kind == "opencl" and device.is_gpu and cols % 4 == 0
     options = {"defines": {"GPU": 1}} if device.is_gpu else {"group": (1, 1)}
     device.launch("processor.malvar", "malvar", (rows, cols // 4 if fours else -(-pairs // run)),
-                  device.array(raw, np.uint16), out, float(black_level), float(scale), red_row, red_col, run, rows,
-                  cols, **options)
+                  device.array(raw, np.uint16), out, float(black_level), float(scale), red, blue, red_row, red_col,
+                  run, rows, cols, **options)
     return out
 
 
@@ -47,6 +51,13 @@ def cases():
             yield Case(f"{phase} {rows}x{cols}",
                        {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}, 2.0**-23 * (1 + 2.0**-24),
                        why, metric="local")
+    for phase, balance in zip(RED, ((2.1, 1.4), (0.7, 3.0), (1.0, 0.25), (2.5, 2.5)), strict=True):
+        raw = random.integers(0, 65536, (33, 36), np.uint16)
+        most = max(1, *(a / b for a in (*balance, 1) for b in (*balance, 1)))
+        yield Case(f"{phase} balanced {balance}", {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 65536,
+                                                   "balance": balance}, 6 * 2.0**-24 * (1 + 1.5 * most),
+                   "six roundings (share, product, sum, three of the end) of the largest sum of absolute terms, "
+                   "neighbours and 24 16ths of the Laplacian times the share, by a peak of 1 or more")
     checkers = np.where(np.add.outer(np.arange(12), np.arange(14)) % 3 == 0, 65535, 0).astype(np.uint16)
     yield Case("black and saturated", {"raw": checkers, "phase": "GBRG", "black_level": 0.0, "scale": 1.0}, 0.0,
                "16ths of whole numbers below 2^22 are exact", metric="exact")

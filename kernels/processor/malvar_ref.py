@@ -25,9 +25,13 @@ KEEP = np.zeros((5, 5))
 KEEP[2, 2] = 1
 
 
-def malvar(raw, *, phase, black_level, scale):
+def malvar(raw, *, phase, black_level, scale, balance=(1.0, 1.0)):
     """Raw (rows, cols) [DN] -> (3, rows, cols), (DN - black_level) scale."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(np.asarray(raw, np.float64), 2, mode="reflect"), (5, 5))
+    factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))
+    signal = np.asarray(raw, np.float64) - black_level
+    for place, letter in enumerate(phase):
+        signal[place // 2 :: 2, place % 2 :: 2] *= factors[letter]
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(signal, 2, mode="reflect"), (5, 5))
     out = np.empty((3, *raw.shape))
     for place, letter in enumerate(phase):
         every = np.s_[place // 2 :: 2, place % 2 :: 2]
@@ -39,5 +43,5 @@ def malvar(raw, *, phase, black_level, scale):
                 kernel = BESIDE if color == beside else BESIDE.T
             else:
                 kernel = GREEN if color == "G" else ACROSS
-            plane[every] = (windows[every] * kernel).sum(axis=(2, 3))
-    return (out - black_level) * scale
+            plane[every] = (windows[every] * kernel).sum(axis=(2, 3)) / factors[color]
+    return out * scale

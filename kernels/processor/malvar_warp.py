@@ -9,8 +9,8 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def value(sixteenfold: int, black_level: float, scale: float):
-    return (float(sixteenfold) * 0.0625 - black_level) * scale
+def value(neighbours: int, laplacian: int, share: float, black_level: float, scale: float):
+    return ((float(neighbours) + share * float(laplacian)) * 0.0625 - black_level) * scale
 
 
 @wp.kernel
@@ -22,6 +22,8 @@ def malvar(
     # params:
     black_level: float,
     scale: float,
+    of_red: float,
+    of_blue: float,
     red_row: int,
     red_col: int,
     # sizes:
@@ -32,6 +34,8 @@ def malvar(
     y, item = wp.tid()
     own = own_plane(y, red_row)
     first = first_own(y, red_row, red_col)
+    of_own = wp.where(own == 0, of_red, of_blue)
+    of_other = wp.where(own == 0, of_blue, of_red)
     uu = mirror(y - 2, rows)
     u = mirror(y - 1, rows)
     w = mirror(y + 1, rows)
@@ -54,14 +58,15 @@ def malvar(
             cross = left + right + up_c + down_c
             corners = int(raw[u, b]) + up_d + int(raw[w, b]) + down_d
             far = int(raw[y, mirror(x - 2, cols)]) + next + int(raw[uu, c]) + int(raw[ww, c])
-            rgb[own, y, c] = value(16 * here, black_level, scale)
-            rgb[1, y, c] = value(8 * here + 4 * cross - 2 * far, black_level, scale)
-            rgb[2 - own, y, c] = value(12 * here + 4 * corners - 3 * far, black_level, scale)
+            rgb[own, y, c] = value(16 * here, 0, 0.0, black_level, scale)
+            rgb[1, y, c] = value(4 * cross, 8 * here - 2 * far, of_own, black_level, scale)
+            rgb[2 - own, y, c] = value(4 * corners, 12 * here - 3 * far, of_own / of_other, black_level, scale)
         if x + 1 < cols:
             diagonal = up_c + int(raw[u, e]) + down_c + int(raw[w, e])
             along = left + int(raw[y, mirror(x + 3, cols)])
             across = int(raw[uu, d]) + int(raw[ww, d])
-            rgb[own, y, d] = value(10 * right + 8 * (here + next) - 2 * (along + diagonal) + across, black_level, scale)
-            rgb[1, y, d] = value(16 * right, black_level, scale)
-            rgb[2 - own, y, d] = value(10 * right + 8 * (up_d + down_d) - 2 * (across + diagonal) + along, black_level,
-                                       scale)
+            rgb[own, y, d] = value(8 * (here + next), 10 * right - 2 * (along + diagonal) + across, 1.0 / of_own,
+                                   black_level, scale)
+            rgb[1, y, d] = value(16 * right, 0, 0.0, black_level, scale)
+            rgb[2 - own, y, d] = value(8 * (up_d + down_d), 10 * right - 2 * (across + diagonal) + along,
+                                         1.0 / of_other, black_level, scale)

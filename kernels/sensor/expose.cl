@@ -15,5 +15,6 @@ __kernel void expose(
     const float u = (x - 0.5f * (cols - 1)) * slope, v = (y - 0.5f * (rows - 1)) * slope;
     const float secant2 = 1.0f + (u * u + v * v);  // 1 / cos^2
     const int channel = cfa[y % PERIOD_Y * PERIOD_X + x % PERIOD_X];
-    mean[y * cols + x] = exposure_time * rates[((size_t)channel * rows + y) * cols + x] / (secant2 * secant2);
+    const float rate = rates[((size_t)channel * rows + y) * cols + x];
+    mean[y * cols + x] = exposure_time * (rate < 0.0f ? 0.0f : rate) / (secant2 * secant2);  // NaN stays
 }

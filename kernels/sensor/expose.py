@@ -2,9 +2,10 @@
 
 Ports: rates (channels, rows, cols) float32 [e- s-1], cfa (period_y, period_x) int32 -> mean (rows, cols) float32 [e-]:
 
-    mean(y, x) = T cos^4(theta) rates[cfa[y mod period_y, x mod period_x], y, x],   tan(theta) = r slope,
+    mean(y, x) = T cos^4(theta) max(0, rates[cfa[y mod period_y, x mod period_x], y, x]),   tan(theta) = r slope,
 
-r the distance from the frame's centre [pixel], slope the tangent of the field angle per pixel (0: no fall-off).
+r the distance from the frame's centre [pixel], slope the tangent of the field angle per pixel (0: no fall-off). Light
+is not negative: what interpolation and transforms leave below 0 beside strong edges ends here, NaN goes on.
 """
 
 import numpy as np
@@ -42,6 +43,10 @@ def cases():
                        {"rates": (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32),
                         "cfa": np.array(pattern, np.int32), "exposure_time": 0.013, "slope": slope},
                        10 * 2.0**-23, why, metric="local")
+    overshot = random.normal(0, 1, (3, 7, 9)).astype(np.float32)
+    overshot[:, 2, 3] = np.nan
+    yield Case("below zero and NaN", {"rates": overshot, "cfa": np.array([[0, 1], [1, 2]], np.int32),
+                                      "exposure_time": 0.013, "slope": 1e-3}, 10 * 2.0**-23, why, metric="local")
 
 
 def bench(rows, cols):

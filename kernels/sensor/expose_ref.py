@@ -16,4 +16,4 @@ def expose(rates, cfa, exposure_time, slope):
     y, x = np.indices((rows, cols))
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
     own = np.take_along_axis(np.asarray(rates, np.float64), channel[None], axis=0)[0]
-    return exposure_time * relative_illumination(rows, cols, slope) * own
+    return exposure_time * relative_illumination(rows, cols, slope) * np.where(own < 0, 0, own)

@@ -27,4 +27,7 @@ def expose(
     v = (float(y) - 0.5 * float(rows - 1)) * slope
     secant2 = 1.0 + (u * u + v * v)  # 1 / cos^2
     channel = cfa[y % period_y, x % period_x]
-    mean[y, x] = exposure_time * rates[channel, y, x] / (secant2 * secant2)
+    rate = rates[channel, y, x]
+    if rate < 0.0:  # NaN stays
+        rate = float(0.0)
+    mean[y, x] = exposure_time * rate / (secant2 * secant2)

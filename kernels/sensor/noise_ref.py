@@ -2,7 +2,7 @@
 
 Unlike every other reference this one computes in float32: digital numbers have to agree bit for bit on all devices, so
 the order of correctly rounded float32 operations written here *is* the specification. What judges it is probability
-theory (tests/test_noise.py), not a more precise computation.
+theory (tests/stages/test_noise.py), not a more precise computation.
 """
 
 import numpy as np

@@ -16,7 +16,7 @@ from gpusim.kernels.spectral.integrate_ref import integrate
 
 @pytest.fixture(scope="module")
 def iset():
-    return dict(np.load(Path(__file__).parent / "data" / "iset_optics.npz"))
+    return dict(np.load(Path(__file__).parents[1] / "data" / "iset_optics.npz"))
 
 
 def test_diffraction_otf(iset):

@@ -1,24 +1,18 @@
 """Measures of pictures, against closed forms, published numbers, colour-science and sums written out."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
-from gpusim import Basis, Cube, Display, GpusimError, Layer, Materials, Noise, Scene, Simulator, chart, open_camera
+from gpusim import Basis, Cube, Display, GpusimError, Layer, Materials, Scene, chart
 from gpusim.data.charts import colorchecker_patches
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.scene import unit_light
-from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.domain.spectrum import photons_from_energy
-from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.measure import ciede2000, cpsnr, ideal, samples_per_degree, scielab, snr, ssim, visible_snr
 from gpusim.measure.difference import eye_filtered
-from gpusim.planner.color import color_matrix
 
 WHITE = Display().xyz_from_rgb.sum(1)
 NODES = np.arange(400.0, 701.0, 10.0)
@@ -150,45 +144,6 @@ def test_ideal_averages_samples_and_hides_what_is_behind():
     assert ideal(layered)[1] == pytest.approx(y)
 
 
-def test_ideal_frames():
-    """The simulator's own picture of grey is the scene's; a ColorChecker's differs by what its matrix leaves.
-
-    The camera is noise-free; grey differs by rounding to 16 bits, 1e-5 of white: 116 / 3 * 1e-5 / .18^(2/3) = 1e-3. A
-    patch may differ by what the worst rounding of its three channels does, and 1e-4 for float32 (1e-7 of white: 500 / 3
-    * 1e-7 / .03^(2/3)).
-    """
-    camera = open_camera("phone")
-    camera = replace(camera, sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
-                     optics=replace(camera.optics, model="none", relative_illumination="none"))
-    simulate = Simulator(camera)
-    flat = chart("flat", size=(32, 24))
-    frame = simulate(flat)
-    found = ciede2000(frame, flat)
-    assert found.shape == (24, 32) and found.max() < 5e-3
-    assert scielab(frame, flat, 30.0).max() < 5e-3
-    assert ciede2000(frame, frame).max() == 0
-    assert visible_snr(frame, 30.0) > 1e3
-    checker = chart("colorchecker", size=(192, 128))
-    frame = simulate(checker)
-    difference = ciede2000(frame, checker)
-    patches = [difference[y.start + 6 : y.stop - 6, x.start + 6 : x.stop - 6].mean()
-               for y, x in colorchecker_patches((192, 128))]
-    print(f"ColorChecker in D65: mean CIEDE2000 {np.mean(patches):.2f}, worst {max(patches):.2f}")
-    # electrons of every patch, by the trapezoidal rule over .1 nm (1 nm errs by 1e-5), through the camera's matrix
-    nm = np.linspace(400, 700, 3001)
-    lit = photons_from_energy(illuminant("D65")).at(nm)
-    surfaces = np.vstack([CubicSpline(NODES, reflectances("colorchecker").at(NODES), axis=-1)(nm), np.ones(len(nm))])
-    electrons = np.trapezoid(camera.sensor.qe.at(nm)[:, None] * lit * surfaces, nm)
-    matrix = color_matrix(camera.sensor.qe, "D65", camera.processor.training, method=camera.processor.color).matrix
-    shares = electrons[:, :24] / electrons[:, 24].max()
-    rounding = 0.5 / (CORRECTED_WHITE - CORRECTED_BLACK) / frame.rendering.white
-    wanted = ideal(checker)
-    wanted = np.stack([wanted[:, *patch].mean(axis=(1, 2)) for patch in colorchecker_patches((192, 128))], 1)
-    known, *others = (ciede2000(Display().xyz_from_rgb @ np.clip(matrix @ (shares + shift), 0, 1), wanted)
-                      for shift in np.array([(0, 0, 0), *product((-1, 1), repeat=3)])[:, :, None] * rounding)
-    assert (np.abs(patches - known) <= np.abs(np.array(others) - known).max(0) + 1e-4).all()
-
-
 def test_scielab_of_even_patches_is_cielab():
     """Filters of unit sum: 1e-12 of the transforms there and back, times 500 in a*."""
     lab = np.array([[55.0, 20, -30], [52, 24, -20]])
@@ -247,22 +202,6 @@ def test_samples_per_degree():
     """0.25 mm at 0.5 m: 57.3 mm / m and degree; a display so near that a pixel fills 90 degrees."""
     assert samples_per_degree(0.25e-3, 0.5) == pytest.approx(0.5 * np.radians(1) / 0.25e-3, rel=1e-6)
     assert samples_per_degree(2.0, 1.0) == pytest.approx(1 / 90)
-
-
-@pytest.mark.parametrize("light", [20.0, 500.0])
-def test_snr_of_photons(light):
-    """SNR = sqrt(N) through the simulator: 128 x 128 pixels tell it to 1 / sqrt(2 n) = 0.55 %, 0.048 dB; 5 of these."""
-    camera = open_camera("mono")
-    sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(prnu=0.05), full_well=10000.0)
-    simulate = Simulator(replace(camera, sensor=sensor))
-    first, second = (simulate.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(np.float64)
-                     for number in (0, 1))
-    first, second = ((raw - sensor.dark_level) / sensor.gain_dn_per_electron for raw in (first, second))
-    known = 10 * np.log10(light)
-    assert snr(first, second) == pytest.approx(known, abs=0.24)  # temporal alone
-    both = 20 * np.log10(light / np.sqrt(light + (0.05 * light) ** 2))
-    assert snr(first) == pytest.approx(both, abs=0.24)
-    assert snr(np.stack([first, 2 * second])) == pytest.approx([snr(first), snr(second)])
 
 
 def test_snr_by_hand():

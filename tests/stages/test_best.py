@@ -138,6 +138,43 @@ def test_noise_of_a_flat_field_falls_and_its_mean_stays(electrons, domain):
     assert result.var() < variance / 2
 
 
+@pytest.mark.parametrize("read", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("electrons", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("balance", [(1.0, 1.0), (0.5, 2.0)], ids=["as it comes", "balanced"])
+def test_dark_greys_have_no_cast(electrons, read, balance):
+    """Means of the three planes over 256 x 256 pixels of dark grey are those of the light within 4 standard errors.
+
+    Of each channel's samples, a quarter of the pixels for red and blue, half for green. balance: red twice as strong,
+    blue half as strong as green, so that white is grey again.
+    """
+    random = np.random.default_rng(8)
+    size, gain, black, white = 256, 8.0, 500.0, 6000.0
+    means = electrons / np.array([balance[0], 1.0, balance[1]])
+    light = np.tile([[means[0], means[1]], [means[1], means[2]]], (size // 2, size // 2))
+    raw = black + gain * (random.poisson(light) + read * random.standard_normal(light.shape))
+    planes = white * best(np.round(raw).astype(np.uint16), phase="RGGB", black_level=black, scale=1 / (gain * white),
+                          noise=(gain, gain * read), balance=balance, device="opencl").astype(float)
+    for plane, mean, share in zip(planes, means, (4, 2, 4), strict=True):
+        assert abs(plane.mean() - mean) < 4 * np.sqrt((mean + read**2) * share) / size
+
+
+@pytest.mark.parametrize(("mean", "read"), [(1, 2), (4, 5), (40, 1)])
+def test_drawing_keeps_the_mean_of_measured_samples(mean, read):
+    """What is drawn takes as much as it gives: at each kind of site the mean stays that of its samples.
+
+    Drawing moves a value by half of the noise or less (one mean of four has 1.1 times it); of 512 x 512 such moves the
+    mean scatters by 1/512 of that, taken four times. Drawn roots would lose a twentieth of an electron here and more.
+    """
+    random = np.random.default_rng(9)
+    field = random.poisson(mean, (1024, 1024)) + read * random.standard_normal((1024, 1024))
+    raw = np.round(200 + 4 * field).astype(np.uint16)
+    out = 4000 * best(raw, phase="RGGB", black_level=200.0, scale=1 / 16000, noise=(4.0, 4.0 * read),
+                      device="opencl").astype(float)
+    exact = (raw - 200.0) / 4
+    for plane, site in ((0, np.s_[::2, ::2]), (1, np.s_[::2, 1::2]), (1, np.s_[1::2, ::2]), (2, np.s_[1::2, 1::2])):
+        assert abs(out[plane][site].mean() - exact[site].mean()) < 4 * 0.55 * np.sqrt(mean + read**2) / 512
+
+
 @pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 def test_gpu_form_is_the_cpu_form(options):
     """OpenCL's two forms, one pass over strips and kernels over tiles, agree bit for bit on a CPU.

@@ -17,7 +17,7 @@ from gpusim.domain.exposure import (
 
 # ISETCam 3b10ec1 (MIT licence), run in GNU Octave in float64: exposureValue over 7 f-numbers x 6 times; autoExposure
 # "full" and "cfa" of one scene at 95 % of a 1 V swing, with the highest noise-free volts after 1 s.
-ISET = np.load(Path(__file__).parent / "data" / "iset_exposure.npz")
+ISET = np.load(Path(__file__).parents[1] / "data" / "iset_exposure.npz")
 # Both sides are a division and at most one logarithm in float64: a few units of 2.2e-16, relative to values up to 17.
 RTOL = 1e-12
 

@@ -376,3 +376,16 @@ microlens = {angles_deg = [0, 30], response = [1, 0.8], shift = 0.5}
 def test_lenses_that_cannot_be_are_refused(optics, error, says):
     with pytest.raises(error, match=says):
         gs.Simulator(camera(**optics), device=DEVICES[0]).expose(cube(np.ones((48, 64))))
+
+
+@pytest.mark.parametrize("fields", [
+    {"defocus": 1e-5},
+    pytest.param({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.1))}, marks=pytest.mark.slow),
+    {"birefringence": (1.4e-6, 1.4e-6)}])
+@pytest.mark.parametrize("tolerance", [None, 1e-3])
+def test_a_camera_with_that_lens(fields, tolerance):
+    """End to end against float64: exact, 1e-5 and 2.5 times the predicted border; fused, the tolerance."""
+    made = gs.open_camera("figure8")
+    made = dataclasses.replace(made, optics=dataclasses.replace(made.optics, **fields))
+    frame = gs.Simulator(made, device="auto", tolerance=tolerance)(gs.chart("colorchecker", size=(48, 32)), verify=True)
+    assert frame.report.error.rms < (tolerance or 1e-5 + 2.5 * frame.report.predicted["border"])

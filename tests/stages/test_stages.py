@@ -4,21 +4,28 @@ import re
 from pathlib import Path
 
 import pytest
-from devices import DEVICES
+from devices import BROKEN, DEVICES
 
-from gpusim.backends.probe import devices
+from gpusim.backends.probe import best
 from gpusim.backends.select import open_device
 from gpusim.kernels.stage import ROOT, stage_module, stage_names
 from gpusim.verify import verify
 
+QUICK = best()
+ON_DEVICES = [pytest.param(name, marks=pytest.mark.quick) if name == QUICK else name for name in DEVICES]
 
-def test_the_devices_of_a_plain_installation_are_there_and_work():
-    assert "warp:cpu" in DEVICES
+
+def test_every_device_works():
+    """The one test that a driver fails which cannot build an empty kernel, with its cause; no other runs on it."""
+    assert BROKEN == {}
+
+
+def test_an_opencl_device_and_warp_work():
     assert any(name.startswith("opencl:") for name in DEVICES)
-    assert {entry["name"]: entry["error"] for entry in devices() if entry["error"]} == {}
+    assert any(name.startswith("warp:") for name in DEVICES)
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ON_DEVICES)
 @pytest.mark.parametrize("stage", stage_names())
 def test_stage_agrees_with_its_reference(stage, device):
     failed = [row for row in verify(open_device(device), [stage]) if not row["ok"]]

@@ -1,6 +1,5 @@
 """Displays: curves, tone, what the screen radiates; measured ones against ISETCam's figures."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,22 +74,6 @@ def test_the_screen_radiates_what_the_display_model_says(name):
             tolerance = 5e-3 if name == "srgb" else 1e-6  # srgb: basis and light have different nodes, products differ
             np.testing.assert_allclose(xyz(radiance), display.xyz(codes[y, x]), rtol=0,
                                        atol=tolerance * display.luminance)
-
-
-def test_a_picture_of_a_picture():
-    """The camera takes its own picture off a screen: greys come out grey again, by the same curve."""
-    from gpusim.data.cameras import open_camera
-    from gpusim.scheduler import Simulator
-
-    codes = np.zeros((48, 64, 3), np.uint8)
-    codes[:, :32], codes[:, 32:] = 255, 128
-    camera = open_camera("phone")  # without blur: diffraction would add 0.5 % of the white half to the grey one
-    camera = replace(camera, optics=replace(camera.optics, model="none"))
-    frame = Simulator(camera, device="opencl")(displayed(codes, open_display("lcd-apple")))
-    bright, dark = frame.linear[:, 12:36, 4:28].mean(axis=(1, 2)), frame.linear[:, 12:36, 36:60].mean(axis=(1, 2))
-    # 576 pixels of 1400 electrons and more, times at most 3 by the matrix: 0.35 % of noise; 3 of these
-    np.testing.assert_allclose(dark / bright, (128 / 255) ** 2.01, rtol=0.0105)
-    assert np.ptp(bright) < 0.0105 * bright.mean()
 
 
 def test_displayed_refuses():

@@ -1,0 +1,151 @@
+"""NumPy archives (.npz) of plain arrays, read within bounds: nothing is taken before it has been asked for."""
+
+import io
+import math
+import warnings
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.domain.errors import BadFile
+from gpusim.domain.memory import require_memory
+from gpusim.io.files import file_size, open_file, reading
+
+NUMBERS, WHOLE, TEXT = "uif", "ui", "U"  # NumPy's letters for kinds of types
+KINDS = {NUMBERS: "real numbers", WHOLE: "whole numbers", TEXT: "text"}
+WHAT = "an .npz archive of plain arrays"
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of NumPy; zipfile inflates the others without a bound
+ENCRYPTED = 1  # bit of a zip member's flags
+LARGEST_RATIO = 1032  # of deflate: 258 bytes of 2 bits (RFC 1951)
+LONGEST_DIRECTORY = 2**20  # [byte]; some ten thousand arrays
+LONGEST_HEADER = 10_000  # [byte] of an array, what NumPy itself allows
+LONGEST_TEXT = 2**20  # [byte] of an array of texts: names and where a table is from
+PIECE = 2**18  # [byte] that are read at once
+
+
+@dataclass(frozen=True)
+class _Member:
+    """An array as its header says: shape, dtype and order; its numbers begin at the byte `start`."""
+
+    info: zipfile.ZipInfo
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    fortran: bool
+    start: int
+
+    @property
+    def nbytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+class Archive(Mapping):
+    """The arrays of an open .npz by their names; each is read when it is asked for, its shape is known before."""
+
+    def __init__(self, path, file):
+        self.path, self._size = path, file_size(file)
+        self._zip, self._members = zipfile.ZipFile(_Bounded(file)), {}  # type: ignore[arg-type]
+        for info in self._zip.infolist():
+            name = info.filename.removesuffix(".npy")
+            if name in self._members:
+                raise BadFile(path, f"holds two arrays {name!r}")
+            self._members[name] = self._member(info)
+
+    def _member(self, info):
+        """Header of a member, whose declared sizes the file can hold."""
+        what = f"array {info.filename!r}"
+        if info.flag_bits & ENCRYPTED or info.compress_type not in METHODS:
+            raise BadFile(self.path, f"{what} is encrypted, or packed by another method than NumPy's; write it with "
+                                     "np.savez or np.savez_compressed")
+        if info.compress_size > self._size or info.file_size > LARGEST_RATIO * info.compress_size:
+            raise BadFile(self.path, f"{what}, truncated or damaged: {info.file_size} bytes cannot come of "
+                                     f"{info.compress_size} in a file of {self._size}")
+        with self._zip.open(info) as stream:
+            head = io.BytesIO(stream.read(LONGEST_HEADER))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+            long = np.lib.format.read_magic(head) != (1, 0)
+            header = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
+            shape, fortran, dtype = header(head)
+        member = _Member(info, shape, dtype, fortran, head.tell())
+        if dtype.kind not in "biufcUS" or dtype.subdtype:
+            raise BadFile(self.path, f"{what} holds {dtype}: not {WHAT}")
+        if min(shape, default=0) < 0 or member.nbytes != info.file_size - member.start:
+            raise BadFile(self.path, f"{what}, truncated or damaged: shape {shape} of {dtype} are not its "
+                                     f"{info.file_size - member.start} bytes")
+        if dtype.kind in "US" and member.nbytes > LONGEST_TEXT:
+            raise BadFile(self.path, f"{what}: {member.nbytes} bytes of text; at most {LONGEST_TEXT} are read")
+        return member
+
+    def __contains__(self, name):  # Mapping's own would read the array
+        return name in self._members
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self):
+        return len(self._members)
+
+    def require(self, names):
+        """Raise BadFile unless all these arrays are there."""
+        missing = [name for name in names if name not in self]
+        if missing:
+            raise BadFile(self.path, f"lacks {', '.join(missing)}; it has {', '.join(self) or 'nothing'}")
+
+    def shape(self, name, kinds=NUMBERS, *, wanted=None) -> tuple[int, ...]:
+        """Shape of an array, before it is read.
+
+        kinds: letters of NumPy for the kinds of types that it may have. wanted: the shape that it should have, None for
+        any length, or None for any shape. Raises BadFile if it is missing or something else.
+        """
+        if name not in self:
+            raise BadFile(self.path, f"key {name!r} is missing; there are {', '.join(self) or 'none'}")
+        shape, dtype = self._members[name].shape, self._members[name].dtype
+        if dtype.kind not in kinds:
+            raise BadFile(self.path, f"{name}: {dtype}, wanted {KINDS.get(kinds, KINDS[NUMBERS])}")
+        if wanted is not None and not (len(shape) == len(wanted) and 0 not in shape
+                                       and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))):
+            lengths = ", ".join("any" if n is None else str(n) for n in wanted)
+            raise BadFile(self.path, f"{name}: shape {shape}, wanted ({lengths})")
+        return shape
+
+    def __getitem__(self, name) -> np.ndarray:
+        """Read an array. Raises KeyError, BadFile."""
+        member = self._members[name]
+        with reading(self.path, WHAT), self._zip.open(member.info) as stream:
+            array = np.empty(member.shape[::-1] if member.fortran else member.shape, member.dtype)
+            numbers = array.reshape(-1).view(np.uint8).data if member.nbytes else memoryview(b"")
+            stream.read(member.start)
+            for first in range(0, member.nbytes, PIECE):
+                piece = numbers[first:first + PIECE]
+                if stream.readinto(piece) != len(piece):
+                    raise EOFError(f"{member.info.filename!r} ends early")
+        return array.transpose() if member.fortran else array
+
+    def require_memory(self, copies: float):
+        """Raise DoesNotFit unless all arrays fit as stored, with `copies` of their numbers as float64 beside."""
+        needed = sum(member.nbytes + 8 * copies * math.prod(member.shape) for member in self._members.values())
+        require_memory(f"{self.path}: {len(self)} arrays", math.ceil(needed))
+
+
+class _Bounded:
+    """A file of which nothing is read at once that is longer than a zip file's directory may be."""
+
+    def __init__(self, file):
+        self.file, self.seek, self.tell, self.seekable = file, file.seek, file.tell, file.seekable
+
+    def read(self, size=-1):
+        if size > LONGEST_DIRECTORY:
+            raise zipfile.BadZipFile(f"a directory of {size} bytes; at most {LONGEST_DIRECTORY} are read")
+        return self.file.read(size)
+
+
+@contextmanager
+def open_archive(path):
+    """Open an .npz as an `Archive`. Nothing is unpickled. Raises BadFile."""
+    with open_file(path) as file:
+        with reading(path, WHAT):
+            archive = Archive(path, file)
+        yield archive

@@ -1,0 +1,226 @@
+"""Finding devices: what is kept of them, what their drivers keep, and what is said where they do not work."""
+
+import importlib.util
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from devices import KINDS
+
+from gpusim.backends import probe
+from gpusim.backends.select import open_device
+from gpusim.domain.errors import DeviceError
+
+GOOD = probe.EMPTY | {"name": "numpy", "device": "a processor", "driver": "1"}
+SLOW = {**GOOD, "name": "warp:cpu"}
+COPY = """
+import sys
+import numpy as np
+from gpusim.backends import open_device
+device = open_device(sys.argv[1])
+values = np.arange(300, dtype=np.float32)
+target = device.empty((300,))
+device.launch("common.copy", "copy", (300,), device.array(values), target, 300)
+assert np.array_equal(device.numpy(target), values)
+"""
+
+
+def run(code, *arguments, **environment):
+    """Python in a process of its own, with variables set, or with those unset that are None."""
+    variables = {name: text for name, text in (os.environ | environment).items() if text is not None}
+    return subprocess.run([sys.executable, "-W", "ignore", "-c", code, *arguments], env=variables, capture_output=True,
+                          text=True, timeout=300)
+
+
+@pytest.fixture
+def probed(monkeypatch, tmp_path):
+    """Names of the devices that were tried, not kept; `found` has what the attempts give."""
+    tried = []
+    found = {"numpy": GOOD, "warp:cpu": SLOW}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(probe, "_names", lambda: (list(found), ""))
+    monkeypatch.setattr(probe, "_try", lambda name: tried.append(name) or found[name])
+    probed.found = found
+    return tried
+
+
+def test_what_was_found_is_kept(probed):
+    assert probe.devices() == probe.devices() == [GOOD, SLOW]
+    assert probed == ["numpy", "warp:cpu"]
+    probe.devices(refresh=True)
+    assert len(probed) == 4
+
+
+@pytest.mark.parametrize("content", [
+    "", "{", "null", "1", "[]", "{}", "[1]", "[null]", "[{}]", '"text"', "\xff\xfe", "\0\0\0", "[" * 10**5,
+    '{"name": "numpy"}', json.dumps([{**GOOD, "copy_gbps": "fast"}]), json.dumps([{**GOOD, "more": 1}]),
+    json.dumps([GOOD])[:-9]],
+    ids=lambda content: ascii(content[:20]))
+def test_a_corrupt_record_is_made_anew(content, probed):
+    assert probe.devices() == [GOOD, SLOW]
+    probe._cache_path().write_text(content, "latin-1")
+    assert probe.devices() == probe.devices() == [GOOD, SLOW]
+    assert len(probed) == 4  # once at first, once for the damage
+
+
+def test_a_record_that_cannot_be_read_or_written_is_done_without(probed, monkeypatch, tmp_path):
+    path = probe._cache_path()
+    path.mkdir(parents=True)
+    assert probe.devices() == [GOOD, SLOW]
+    assert list(path.parent.iterdir()) == [path]  # nothing half-written is left
+    path.rmdir()
+    path.symlink_to(path)  # cannot be read, whoever asks
+    assert probe.devices() == [GOOD, SLOW]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a file"))
+    (tmp_path / "a file").write_text("")
+    assert probe.devices() == [GOOD, SLOW]
+
+    def nobody():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", nobody)
+    assert probe.devices() == [GOOD, SLOW]
+
+
+def test_a_broken_device_is_kept_for_a_while(probed, monkeypatch):
+    """It costs one attempt an hour, not one every time; a driver that is changed is tried at once."""
+    broken = {**GOOD, "name": "opencl:0", "error": "no good"}
+    found = {"numpy": GOOD, "opencl:0": broken, "warp:cpu": SLOW}
+    monkeypatch.setattr(probe, "_names", lambda: (list(found), ""))
+    monkeypatch.setattr(probe, "_try", lambda name: probed.append(name) or found[name])
+    assert probe.devices() == probe.devices() == [*found.values()]
+    assert len(probed) == 3
+    path = probe._cache_path()
+    os.utime(path, (path.stat().st_mtime - 2 * probe.PATIENCE,) * 2)
+    probe.devices()
+    assert len(probed) == 6
+    monkeypatch.setenv("OCL_ICD_VENDORS", "/elsewhere")
+    probe.devices()
+    assert len(probed) == 9
+
+
+def test_a_device_that_has_gone_is_not_chosen(probed, monkeypatch):
+    """The record names a GPU that is no longer there: what there is now is found anew."""
+    gone = {**GOOD, "name": "opencl:99", "gpu": True}
+    found = [gone, SLOW]
+    monkeypatch.setattr(probe, "_names", lambda: ([entry["name"] for entry in found], ""))
+    monkeypatch.setattr(probe, "_try", lambda name: next(entry for entry in found if entry["name"] == name))
+    assert probe.best()["name"] == "opencl:99"
+    del found[0]
+    open_device.__globals__["_opened"].cache_clear()
+    assert open_device("auto").name == "warp:cpu"
+    open_device.__globals__["_opened"].cache_clear()
+
+
+def test_where_no_opencl_works_one_line_says_so(probed, monkeypatch, caplog):
+    found = [{**GOOD, "name": "opencl:0", "error": "unknown target CPU\n'generic'"}, SLOW]
+    monkeypatch.setattr(probe, "devices", lambda refresh=False: found)
+    assert probe.best()["name"] == "warp:cpu"
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "opencl:0: unknown target CPU" in line and "install" in line and "\n" not in line and len(line) < 500
+    caplog.clear()
+    assert probe.best("warp")["name"] == "warp:cpu"  # asked for
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("package, device", [("pyopencl", "opencl:0"), ("pyopencl", "opencl"), ("warp", "warp:cpu")])
+def test_a_package_that_is_missing_is_said_in_one_line(package, device, tmp_path):
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").write_text(f"raise ModuleNotFoundError('No module named {package}')\n")
+    found = run("from gpusim.cli import main; import sys; sys.exit(main(sys.argv[1:]))", "simulate", "flat", "--camera",
+                "phone", "--size", "16x16", "--device", device, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    assert found.returncode == 2
+    (line,) = found.stderr.splitlines()
+    assert package in line and "pip install" in line and len(line) < 500
+
+
+def damage(folder, how):
+    """Every file under a folder cut off, emptied or overwritten; how many."""
+    files = [file for file in folder.rglob("*") if file.is_file() and file.stat().st_size]
+    for file in files:
+        content = file.read_bytes()
+        file.write_bytes({"half": content[: len(content) // 2], "empty": b"", "garbage": b"\x55" * len(content)}[how])
+    return len(files)
+
+
+def kept_in(folder):
+    return {name: str(folder / name) for name in ("POCL_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME")}
+
+
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("how", ["half", pytest.param("empty", marks=pytest.mark.slow),
+                                 pytest.param("garbage", marks=pytest.mark.slow)])
+def test_corrupt_kernels_are_built_anew(device, how, tmp_path):
+    folders = kept_in(tmp_path)
+    for folder in folders.values():
+        Path(folder).mkdir()
+    assert run(COPY, device, **folders).returncode == 0
+    if device.startswith("warp") or "pocl" in open_device(device).cl_device.version.lower():
+        assert damage(tmp_path, how)
+    for _ in range(2):
+        found = run(COPY, device, **folders)
+        assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_kernels_that_cannot_be_kept_are_built(device, tmp_path):
+    """A file stands where the folders would be: nobody, root neither, can write there."""
+    (tmp_path / "file").write_text("")
+    found = run(COPY, device, **kept_in(tmp_path / "file"))
+    assert found.returncode == 0, found.stderr
+
+
+@pytest.fixture(scope="module")
+def unknown_processor(tmp_path_factory):
+    """Environment in which pip's PoCL, the only driver, does not know the processor: its LLVM finds no known maker."""
+    package = importlib.util.find_spec("pyopencl").submodule_search_locations[0]
+    drivers = [*Path(package, ".libs").glob("libpocl*.so")]
+    if platform.machine() != "x86_64" or not drivers:
+        pytest.skip("pip's PoCL is not installed: its wheels are for Linux on x86-64")
+    folder = tmp_path_factory.mktemp("unknown")
+    shutil.copytree(package, folder / "pyopencl")
+    (folder / "pocl_binary_distribution").symlink_to(Path(package).with_name("pocl_binary_distribution"))
+    driver = folder / "pyopencl" / ".libs" / drivers[0].name
+    changed, makers = re.subn(rb"(?<=\x81\xfe)(Genu|Auth)", rb"None", driver.read_bytes())  # compared with CPUID's
+    driver.write_bytes(changed)
+    assert makers
+    (folder / "vendors").mkdir()
+    return kept_in(folder) | {"PYTHONPATH": str(folder), "OCL_ICD_VENDORS": str(folder / "vendors")}
+
+
+def test_pocl_does_not_build_for_an_unknown_processor_by_itself(unknown_processor):
+    """What the mend is for: it says "generic", and then refuses that."""
+    found = run("import pyopencl as cl; device, = cl.get_platforms()[0].get_devices(); print(device.version)\n"
+                "cl.Program(cl.Context([device]), '__kernel void nothing() {}').build()", **unknown_processor)
+    assert found.stdout.strip().endswith("-generic") and "unknown target CPU 'generic'" in found.stderr
+
+
+def test_pocl_builds_for_an_unknown_processor(unknown_processor):
+    """The device that pip brings is usable, and the one that is chosen."""
+    found = run("from gpusim.backends import open_device; device = open_device('auto')\n"
+                "print(device.name, device.cl_device.version, device.processor)", **unknown_processor)
+    name, *version, processor = found.stdout.split()
+    assert name == "opencl:0" and version[-1].endswith("-generic") and processor in ("skylake-avx512", "haswell",
+                                                                                     "sandybridge", "x86-64")
+    found = run(COPY, "opencl:0", **unknown_processor)
+    assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.slow
+def test_every_stage_is_right_on_an_unknown_processor(unknown_processor):
+    found = run("from gpusim.cli import main; import sys; sys.exit(main(['verify', '--device', 'opencl:0']))",
+                **unknown_processor)
+    assert found.returncode == 0 and " 0 failed" in found.stdout
+
+
+def test_a_device_unknown_to_the_driver_is_refused_in_one_line():
+    with pytest.raises(DeviceError) as failure:
+        open_device("opencl:no such")
+    assert "\n" not in str(failure.value)

@@ -1,0 +1,254 @@
+"""Every reader on damaged files: a result or a GpusimError in one line, in bounded time and memory.
+
+`python tests/fuzz.py --count 1000` prints one JSON row per reader. Input `number` of a reader and a seed is always the
+same: `python tests/fuzz.py --reader png --seed 1 --first 517 --count 1 --keep FOLDER` makes it again.
+"""
+
+import argparse
+import faulthandler
+import io
+import json
+import re
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+import zlib
+from pathlib import Path
+
+import mutations
+import numpy as np
+
+from gpusim.data.cameras import camera_names, open_camera
+from gpusim.data.learned import read_table, write_table
+from gpusim.data.psf import read_psf
+from gpusim.domain.errors import GpusimError
+from gpusim.domain.learned import FilterTable
+from gpusim.io.exr import write_rgb_exr, write_spectral_exr
+from gpusim.io.scenes import open_scene
+from gpusim.l3.layout import layout
+
+SEEDS = (1, 2, 3)  # of the kept runs
+READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg")
+WAVES = np.array([400.0, 500.0, 650.0])
+LONGEST = 5.0  # [s] for one input
+ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
+LARGEST = 256 * 2**20  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
+LONGEST_MESSAGE = 500
+
+
+def good_archives(reader):
+    """Arrays of archives that the reader takes."""
+    random = np.random.default_rng(7)
+    values = random.random((3, 6, 5), np.float32)
+    if reader == "psf":
+        plain = {"wavelengths_nm": WAVES, "psf": values, "spacing_um": 1.5}
+        return [plain, plain | {"integrated": True}, plain | {"heights": [0.0, 1.0], "psf": np.stack([values, values])},
+                plain | {"grid_y": [-1.0, 1.0], "grid_x": [-1.0, 0.0, 1.0], "psf": random.random((2, 3, 3, 4, 4))}]
+    if reader == "table":
+        made = layout(("RG", "GB"), "RGB", noise=(0.0, 0.1), radius=1)
+        found = io.BytesIO()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "a.npz"
+            write_table(path, FilterTable(made, random.random(made.shape), random.random(made.shape[:-1]), "a test"))
+            found = dict(np.load(path))
+        return [found, {key: value for key, value in found.items() if key != "offsets"}]
+    return [{"wavelengths_nm": WAVES, "cube": values, "depth_m": 1 + values[0], "fov_rad": 0.5, "name": "a"},
+            {"wavelengths_nm": WAVES, "cube": values, "kind": "reflectance", "border": "scene", "margin": 1},
+            {"wavelengths_nm": WAVES, "coefficients": values, "basis": np.eye(3), "illuminant": np.ones(3),
+             "illuminant_wavelengths_nm": WAVES, "samples_per_pixel": 1.5},
+            {"wavelengths_nm": WAVES, "ids": np.zeros((6, 5), np.uint8), "shading": values[0],
+             "spectra": np.ones((2, 3))},
+            {"wave": WAVES, "photons": values.T, "illuminant_photons": np.ones(3), "fov_deg": 30.0},
+            {"wave": WAVES, "coef": values.T, "basis": np.eye(3)}]
+
+
+def good_pictures(reader, folder):
+    """Bytes of files that the reader takes."""
+    from PIL import Image
+
+    random, found = np.random.default_rng(7), []
+    rgb = random.integers(0, 256, (7, 9, 3), np.uint8)
+    if reader == "exr":
+        path = folder / "good.exr"
+        for write in (lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
+                      lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True),
+                      lambda: write_rgb_exr(path, random.random((3, 7, 9)))):
+            write()
+            found.append(path.read_bytes())
+        return found
+
+    def saved(image, **options):
+        buffer = io.BytesIO()
+        image.save(buffer, **options)
+        found.append(buffer.getvalue())
+
+    if reader == "jpg":
+        exif = Image.Exif()
+        exif[274] = 6
+        saved(Image.fromarray(rgb), format="JPEG", exif=exif)
+        saved(Image.fromarray(rgb), format="JPEG", progressive=True, subsampling=0)
+        saved(Image.fromarray(rgb[..., 0]), format="JPEG")
+        return found
+    for image in (Image.fromarray(rgb), Image.fromarray(rgb[..., 0]), Image.fromarray(rgb).quantize(8),
+                  Image.fromarray(rgb[..., 0] > 127), Image.fromarray(np.dstack([rgb, rgb[..., :1]]))):
+        saved(image, format="PNG")
+    saved(Image.fromarray(rgb), format="PNG", transparency=(1, 2, 3))
+    for colour, channels in ((0, 1), (2, 3), (6, 4)):
+        lines = b"".join(b"\1" + line.tobytes() for line in random.integers(0, 256, (7, 18 * channels), np.uint8))
+        found.append(mutations.png_of([(b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
+                                       (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]))
+    return found
+
+
+def good_texts(reader):
+    """Camera files, or a table of curves; and lines to put into camera files."""
+    if reader == "curves":
+        return [b"wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n550,0.1,0.5,0.3\n700,0.4,0.2,0.1\n"], []
+    root = next(folder for folder in Path(__file__).parents if (folder / "README.md").is_file())
+    blocks = re.findall(r"```toml\n(.*?)```", (root / "README.md").read_text(), re.S)
+    return ([(root / f"gpusim/data/cameras/{name}.toml").read_bytes() for name in camera_names()]
+            + [block.encode() for block in blocks], "\n".join(blocks).split("\n"))
+
+
+class Inputs:
+    """The mutated files of one reader."""
+
+    def __init__(self, reader, folder):
+        self.reader, self.lines, self.arrays = reader, [], []
+        if reader in ("camera", "curves"):
+            self.good, self.lines = good_texts(reader)
+        elif reader in ("exr", "png", "jpg"):
+            self.good = good_pictures(reader, folder)
+        else:
+            self.arrays, self.good = good_archives(reader), []
+            for arrays in self.arrays:
+                buffer = io.BytesIO()
+                np.savez_compressed(buffer, **arrays)
+                self.good.append(buffer.getvalue())
+
+    def make(self, seed, number) -> bytes:
+        random = np.random.default_rng((seed, READERS.index(self.reader), number))
+        data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
+        if self.reader == "exr" or random.random() < 0.3:
+            return mutations.damaged(data, other, random)
+        if self.arrays:
+            return mutations.archive(mutations.pick(random, self.arrays), random)
+        if self.reader == "camera":
+            return mutations.toml(data, self.lines, random)
+        return {"curves": mutations.table, "png": mutations.png, "jpg": mutations.jpeg}[self.reader](data, random)
+
+
+CAMERA = """
+[optics]
+f_number = 2
+focal_length_mm = 4
+[sensor]
+pixel_pitch_um = 2
+qe = "curves.csv"
+full_well_e = 9000
+bits = 10
+"""
+
+
+def reading(reader, folder):
+    """Return the path that a reader's inputs are written to, and what reads it."""
+    if reader == "curves":
+        (folder / "own.toml").write_text(CAMERA)
+        return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
+    suffix = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg"}.get(reader, ".npz")
+    read = {"camera": open_camera, "psf": read_psf, "table": read_table}.get(reader, open_scene)
+    return folder / f"input{suffix}", read
+
+
+def flaw(error) -> str | None:
+    """What is wrong with what a reader raised."""
+    text = str(error)
+    if not isinstance(error, GpusimError):
+        return f"{type(error).__name__}: {text[:120]}"
+    if len(text) >= LONGEST_MESSAGE or not text.isprintable():
+        return f"{type(error).__name__} of {len(text)} characters, {text.count(chr(10)) + 1} lines: {text[:80]!r}"
+    return None
+
+
+def fuzz(reader, seed, first, count, keep=None) -> dict:
+    """Read `count` damaged files; returns a row of counts, with all that is wrong named by its number."""
+    row = {"reader": reader, "seed": seed, "mutated": 0, "accepted": 0, "refused": 0, "wrong": 0, "examples": [],
+           "slowest_s": 0.0, "slowest": None}
+    with tempfile.TemporaryDirectory() as folder:
+        inputs, (path, read) = Inputs(reader, Path(folder)), reading(reader, Path(folder))
+        for data in inputs.good:
+            path.write_bytes(data)
+            try:
+                read(path)
+            except GpusimError as error:
+                if reader != "camera":  # README's second block is no whole file
+                    raise AssertionError(f"the unharmed {path.name} was refused: {error}") from error
+        for number in range(first, first + count):
+            data = inputs.make(seed, number)
+            path.write_bytes(data)
+            if keep:
+                (Path(keep) / f"{reader}-{seed}-{number}{path.suffix}").write_bytes(data)
+            faulthandler.dump_traceback_later(20 * LONGEST, exit=True)
+            began, problem = time.perf_counter(), None
+            try:
+                read(path)
+                row["accepted"] += 1
+            except Exception as error:  # the very thing that is looked for
+                problem = flaw(error)
+                row["refused"] += problem is None
+            took = time.perf_counter() - began
+            faulthandler.cancel_dump_traceback_later()
+            row["mutated"] += 1
+            if took > row["slowest_s"]:
+                row |= {"slowest_s": round(took, 3), "slowest": number}
+            if took > LONGEST:
+                problem = problem or f"took {took:.1f} s"
+            if problem:
+                row["wrong"] += 1
+                row["examples"] = [*row["examples"], f"{number}: {problem}"][:30]
+    return row | {"peak_mib": peak_mib()}
+
+
+def limit_memory():
+    """From now on the process may take ROOM bytes more than it has."""
+    import resource
+
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (size + ROOM, size + ROOM))
+    Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+
+
+def peak_mib():
+    """Largest resident size since `limit_memory` [MiB]."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return round(int(status["VmHWM"].split()[0]) / 1024)
+
+
+def in_a_process(reader, seed, count) -> dict:
+    """Row of `fuzz` in a process of its own, whose memory is limited."""
+    command = [sys.executable, __file__, "--reader", reader, "--seed", str(seed), "--count", str(count)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout.splitlines()[-1])  # OpenEXR writes to standard output as well
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--reader", choices=READERS, action="append")
+    parser.add_argument("--seed", type=int, default=SEEDS[0])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=125)
+    parser.add_argument("--keep", help="folder in which inputs are kept")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    for reader in arguments.reader or READERS:
+        fuzz(reader, arguments.seed, 0, 0)  # modules are loaded before memory is limited
+        limit_memory()
+        print(json.dumps(fuzz(reader, arguments.seed, arguments.first, arguments.count, arguments.keep)), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
