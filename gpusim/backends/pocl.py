@@ -1,7 +1,10 @@
-"""PoCL 3.0, which pip installs, on processors that its compiler does not know.
+"""PoCL 3.0, which pip installs, on processors that its compiler does not know or takes for others.
 
-Its LLVM 14 calls them "generic", and its C compiler then refuses that very name, so that nothing can be built (PoCL's
-issue 1049). Neither a build option nor the environment can set another, so it is put in the place where PoCL keeps it.
+It links built-in functions chosen by a processor's features into kernels compiled for its name, as LLVM 14 knows it.
+Where LLVM knows none, "generic", its C compiler then refuses that very name, so that nothing can be built (PoCL's issue
+1049). Where the name is older than the features, Zen 4 taken for Zen 3 say, the two pass wide vectors in other ways:
+such kernels can be wrong, and are not found when they are loaded from the cache. Neither a build option nor the
+environment can set another name, so it is put in the place where PoCL keeps it.
 """
 
 import ctypes
@@ -10,7 +13,6 @@ import re
 import struct
 from pathlib import Path
 
-UNKNOWN = b"generic"
 SEARCHED = 2048  # bytes of PoCL's device structure: the name's address was seen at 640
 # Processors to build for and the features that their code uses, best first. The widths of vectors are those of the
 # built-in functions that PoCL chooses by features, so that both pass them alike.
@@ -19,33 +21,44 @@ PROCESSORS = {"skylake-avx512": HASWELL | {"avx512f", "avx512bw", "avx512cd", "a
               "haswell": HASWELL, "sandybridge": {"avx", "cx16", "popcnt", "sse4_2"}, "x86-64": {"sse2"}}
 
 
+# LLVM 14's names of processors with vectors of 64 and of 32 bytes
+WITH_AVX512 = {"knl", "knm", "skylake-avx512", "cascadelake", "cooperlake", "cannonlake", "icelake-client",
+               "icelake-server", "rocketlake", "tigerlake", "sapphirerapids"}
+WITH_AVX = {"sandybridge", "ivybridge", "haswell", "broadwell", "skylake", "alderlake", "btver2", "bdver1", "bdver2",
+            "bdver3", "bdver4", "znver1", "znver2", "znver3"}
+
+
 def known_processor(cl_device) -> str:
-    """Name that PoCL builds for from now on, where it does not know the processor's own; "" where nothing is changed.
+    """Name that PoCL builds for from now on, where that which it found is not right; "" where nothing is changed.
 
     cl_device: of pyopencl, before its first build.
     """
-    if not (cl_device.version.endswith("-x86_64-unknown-linux-gnu-generic")
-            and " PoCL 3.0" in cl_device.platform.version):
+    found = re.search(r"-x86_64-unknown-linux-gnu-(\S+)$", cl_device.version)
+    if not found or " PoCL 3.0" not in cl_device.platform.version:
         return ""
     flags = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     features = set(flags[1].split()) if flags else set()
+    widest = "avx512f" if "avx512f" in features else "avx" if "avx" in features else ""
+    known = "avx512f" if found[1] in WITH_AVX512 else "avx" if found[1] in WITH_AVX else ""
+    if found[1] != "generic" and known == widest:
+        return ""
     name = next((name for name, needed in PROCESSORS.items() if needed <= features), "")
-    return name if name and _renamed(cl_device.int_ptr, name.encode()) else ""
+    return name if name and _renamed(cl_device.int_ptr, found[1].encode(), name.encode()) else ""
 
 
-def _renamed(structure, name):
-    """Whether PoCL's device at this address has `name` for its processor now, in place of the unknown one."""
+def _renamed(structure, wrong, name):
+    """Whether PoCL's device at this address has `name` for its processor now, in place of the wrong one."""
     try:
         memory = os.open("/proc/self/mem", os.O_RDWR)  # what is not mapped is an error there and not a crash
     except OSError:
         return False
     try:
         found = [(place, text) for place in range(structure, structure + SEARCHED, 8)
-                 if (text := _text(memory, _read(memory, place, 8))) in (UNKNOWN, name)]
+                 if (text := _text(memory, _read(memory, place, 8))) in (wrong, name)]
         if len(found) != 1:
             return False
         place, text = found[0]
-        if text == UNKNOWN:
+        if text == wrong:
             copy = ctypes.CDLL(None).strdup  # PoCL may free it, as it would its own
             copy.restype = ctypes.c_void_p
             os.pwrite(memory, struct.pack("P", copy(name)), place)

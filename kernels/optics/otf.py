@@ -72,11 +72,11 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     out, budget = np.zeros((len(waves), len(s)), complex), _Budget(len(waves))
 
     def probes(part):
-        """Those where the phase turns most, along and across; for rims that touch, also some of the others."""
+        """Those where the phase turns most, along and across, and some of the others; more for rims that touch."""
         if not fast or len(part) <= PROBES:
             return part
-        few = [np.argsort(turn)[-PROBES // 2 :] for turn in _turning(s[part], angle[part], form, 6)]
-        few += [_spread(len(part), 2 * PROBES)] if pupil.obscuration else []
+        few = [np.argsort(turn)[-PROBES // 2 :] for turn in _turning(s[part], angle[part], form)]
+        few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
         return part[np.unique(np.concatenate(few))]
 
     def integral(part, along, across):
@@ -158,11 +158,12 @@ def _separated(waves):
     return shapes[:rank].reshape(rank, order, order), u[:, :rank] * sizes[:rank]
 
 
-def _turning(s, angle, form, steps=16):
+def _turning(s, angle, form):
     """Steepest phase [rad], at each frequency, per radian of the angles whose cosines are the places along and across.
 
     A Gauss rule of n nodes is exact for what turns by 2 n.
     """
+    steps = 8 + form[0].shape[-1]  # a polynomial of this order has fewer turns
     phase = _phases(s, angle, form, steps)
     return [_steepest(phase, axis, np.pi / steps).max(axis=(0, -1, -2)) for axis in (-1, -2)]
 

@@ -10,12 +10,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from devices import KINDS
 
 from gpusim.backends import probe
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
+from gpusim.kernels.sensor.pattern import pattern
 
 GOOD = probe.EMPTY | {"name": "numpy", "device": "a processor", "driver": "1"}
 SLOW = {**GOOD, "name": "warp:cpu"}
@@ -177,22 +179,33 @@ def test_kernels_that_cannot_be_kept_are_built(device, tmp_path):
     assert found.returncode == 0, found.stderr
 
 
-@pytest.fixture(scope="module")
-def unknown_processor(tmp_path_factory):
-    """Environment in which pip's PoCL, the only driver, does not know the processor: its LLVM finds no known maker."""
+def driver_that_sees(folder, **makers):
+    """Environment in which pip's PoCL, the only driver, looks for other makers of processors than there are."""
     package = importlib.util.find_spec("pyopencl").submodule_search_locations[0]
     drivers = [*Path(package, ".libs").glob("libpocl*.so")]
     if platform.machine() != "x86_64" or not drivers:
         pytest.skip("pip's PoCL is not installed: its wheels are for Linux on x86-64")
-    folder = tmp_path_factory.mktemp("unknown")
     shutil.copytree(package, folder / "pyopencl")
     (folder / "pocl_binary_distribution").symlink_to(Path(package).with_name("pocl_binary_distribution"))
     driver = folder / "pyopencl" / ".libs" / drivers[0].name
-    changed, makers = re.subn(rb"(?<=\x81\xfe)(Genu|Auth)", rb"None", driver.read_bytes())  # compared with CPUID's
+    changed, places = re.subn(rb"(?<=\x81\xfe)(Genu|Auth)",  # compared with what the processor says of itself
+                              lambda found: makers[found[1].decode()].encode(), driver.read_bytes())
     driver.write_bytes(changed)
-    assert makers
+    assert places
     (folder / "vendors").mkdir()
     return kept_in(folder) | {"PYTHONPATH": str(folder), "OCL_ICD_VENDORS": str(folder / "vendors")}
+
+
+@pytest.fixture(scope="module")
+def unknown_processor(tmp_path_factory):
+    """Environment in which pip's PoCL does not know the processor: its LLVM finds no known maker."""
+    return driver_that_sees(tmp_path_factory.mktemp("unknown"), Genu="None", Auth="None")
+
+
+@pytest.fixture(scope="module")
+def mistaken_processor(tmp_path_factory):
+    """The same where Intel's and AMD's are confused: Intel's are an Athlon XP of 2001, AMD's are not known."""
+    return driver_that_sees(tmp_path_factory.mktemp("mistaken"), Genu="Auth", Auth="Genu")
 
 
 def test_pocl_does_not_build_for_an_unknown_processor_by_itself(unknown_processor):
@@ -211,6 +224,21 @@ def test_pocl_builds_for_an_unknown_processor(unknown_processor):
                                                                                      "sandybridge", "x86-64")
     found = run(COPY, "opencl:0", **unknown_processor)
     assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.parametrize("environment", ["unknown_processor", "mistaken_processor", ""])
+def test_kernels_of_wide_vectors_are_found_again(environment, request, tmp_path):
+    """Where names and features of processors disagree, kernels were lost when they were loaded from the cache."""
+    folders = kept_in(tmp_path)
+    for folder in folders.values():
+        Path(folder).mkdir()
+    settings = (request.getfixturevalue(environment) if environment else {}) | folders
+    found = [run("from gpusim.backends import open_device; from gpusim.kernels.sensor.pattern import pattern\n"
+                 "device = open_device('opencl:0'); values = pattern(4, 17, 'dark', pixel=1.0, seed=3, device=device)\n"
+                 "print(device.numpy(values).tobytes().hex())", **settings) for _ in range(2)]
+    expected = np.asarray(pattern(4, 17, "dark", pixel=1.0, seed=3, device=open_device("numpy")), np.float32)
+    for once in found:
+        assert once.stdout.strip() == expected.tobytes().hex(), once.stderr
 
 
 @pytest.mark.slow

@@ -105,6 +105,25 @@ def test_a_device_is_opened_once():
     assert len(set(map(id, found))) == 1
 
 
+def elsewhere(method, work, *arguments):
+    """What a function gives in a process of its own, started by `method`, which must not die or keep silent."""
+    context = multiprocessing.get_context(method)
+    answers, sender = context.Pipe(duplex=False)
+    process = context.Process(target=answer, args=(sender, work, arguments))
+    process.start()
+    sender.close()  # the child's end alone is open: where it dies, the pipe ends
+    try:
+        assert answers.poll(120), "no answer within 120 s"
+        return answers.recv()
+    finally:
+        process.kill()
+        process.join()
+
+
+def answer(sender, work, arguments):
+    sender.send(work(*arguments))
+
+
 def redrawn(blob):
     """Digital numbers of a pickled Simulator and Exposure."""
     simulator, exposure = pickle.loads(blob)
@@ -118,29 +137,30 @@ def test_simulators_and_exposures_go_to_other_processes(device, camera):
     exposure = simulator.expose(scene_of(0))
     raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=5)))
     blob = pickle.dumps((simulator, exposure))
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        name, there = pool.apply(redrawn, (blob,))
+    name, there = elsewhere("spawn", redrawn, blob)
     assert name == device
     assert np.array_equal(there, raw)
     frame = next(simulator.shoot(exposure, seed=5))
     assert np.array_equal(pickle.loads(pickle.dumps(frame)).rgb, frame.rgb)
 
 
-def used(device):
-    """What the first use of a device in this process gives."""
-    try:
-        gs.Simulator(gs.open_camera("phone"), device=device)(scene_of(0))
-    except DeviceError as error:
-        return str(error)
-    return "works"
+def used(*devices):
+    """What the first use of each device in this process gives."""
+    given = []
+    for device in devices:
+        try:
+            gs.Simulator(gs.open_camera("phone"), device=device)(scene_of(0))
+            given.append("works")
+        except DeviceError as error:
+            given.append(str(error))
+    return given
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system does not fork")
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_forked_process_is_told_so(device):
     """Drivers do not survive a fork: an error at once, and no silence without end; NumPy goes on."""
-    assert used(device) == "works"
-    with multiprocessing.get_context("fork").Pool(1) as pool:
-        answer = pool.apply_async(used, (device,)).get(60)
-        assert f"{device}: this process was forked" in answer and "spawn" in answer and "\n" not in answer
-        assert pool.apply_async(used, ("numpy",)).get(60) == "works"
+    assert used(device) == ["works"]
+    refused, numpy = elsewhere("fork", used, device, "numpy")
+    assert f"{device}: this process was forked" in refused and "spawn" in refused and "\n" not in refused
+    assert numpy == "works"

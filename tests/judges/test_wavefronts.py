@@ -119,7 +119,7 @@ def test_terms_that_turn_often(j, waves):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize(("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1)])
+@pytest.mark.parametrize(("j", "waves"), [(7, 0.3), (11, 0.3), (11, 1.0), (16, 0.2), (22, 0.1), (22, 0.3)])
 def test_tables_of_terms_that_turn_often(j, waves, device):
     check_device(Pupil(), term(j, waves), device)
 
