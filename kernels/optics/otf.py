@@ -58,8 +58,8 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
 
     waves: coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n, n). sx, sy: shape (F,).
     error: nodes are added along and across the overlap of every frequency until neither changes the integral by more.
-    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked at
-    some of the frequencies.
+    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked, in
+    float64, at some of the frequencies.
     Returns complex, shape (bands, F). Raises OutOfRange where this takes more than MOST_POINTS points in all.
     """
     waves = np.asarray(waves, np.float64)
@@ -79,7 +79,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
         return part[np.unique(np.concatenate(few))]
 
-    def integral(part, along, across):
+    def integral(part, along, across, fast=False):
         rows = _rows(pupil, s[part], angle[part], across)
         budget.spend(len(rows[0]) * along)
         return _integral(rows, s[part], angle[part], form, along, fast) / (np.pi * pupil.area)
@@ -99,7 +99,7 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
     def settle(part, known):
         few, nodes = known
         nodes, values = _converged(lambda *nodes: integral(few, *nodes), nodes, error)
-        out[:, part] = values if len(few) == len(part) else integral(part, *nodes)
+        out[:, part] = values if len(few) == len(part) else integral(part, *nodes, fast)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(settle, parts, list(pool.map(guess, parts))))
