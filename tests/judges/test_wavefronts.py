@@ -5,6 +5,7 @@ composite Gauss rules of 16 nodes on panels whose number doubles until the value
 """
 
 import importlib
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -36,6 +37,12 @@ def panels(ends, count):
 
 def own(wave, s, angle, hole=0.0, tolerance=1e-10):
     """O at one frequency, by polar angle t across (y = sin t) and x along the shift, doubled until it stands still."""
+    return _own(wave.tobytes(), wave.shape, float(s), float(angle), hole, tolerance)
+
+
+@lru_cache(maxsize=64)
+def _own(wave, shape, s, angle, hole, tolerance):
+    wave = np.frombuffer(wave).reshape(shape)
     kinks = [-np.arccos(s), np.arccos(s)]
     if hole:
         heights = [hole]
@@ -44,7 +51,7 @@ def own(wave, s, angle, hole=0.0, tolerance=1e-10):
         heights += [np.sqrt(cross)] if cross > 0 else []
         kinks += [sign * np.arcsin(h) for h in heights for sign in (1, -1) if np.arcsin(h) < np.arccos(s)]
     kinks, before = np.sort(kinks), None
-    for count in 2 ** np.arange(1, 8):
+    for count in 2 ** np.arange(1, 11):
         # roots at the kinks: t = middle - half cos(phi) makes them smooth
         total = 0.0
         for a, b in pairwise(kinks):
