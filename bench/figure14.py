@@ -25,10 +25,11 @@ from gpusim.data.curves import curve
 from gpusim.data.reflectances import reflectances
 from gpusim.data.srgb import srgb_to_xyz
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Materials
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.scenes import mean_luminance

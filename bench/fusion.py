@@ -16,7 +16,7 @@ import scipy.fft
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
-from gpusim.domain.scene import Cube
+from gpusim.domain.content import Cube
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.planner.plan import BORDER_REACH

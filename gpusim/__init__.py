@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Camera": "gpusim.domain.camera", "Display": "gpusim.domain.display", "Optics": "gpusim.domain.optics",
     "Processor": "gpusim.domain.processor", "Scene": "gpusim.domain.scene", "Sensor": "gpusim.domain.sensor",
-    "Cube": "gpusim.domain.scene", "Basis": "gpusim.domain.scene", "Materials": "gpusim.domain.scene",
+    "Cube": "gpusim.domain.content", "Basis": "gpusim.domain.content", "Materials": "gpusim.domain.content",
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
     "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
     "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",

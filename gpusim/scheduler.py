@@ -13,7 +13,7 @@ from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time, exposure_value
-from gpusim.domain.scene import Basis, Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.io.frames import write_frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
@@ -239,8 +239,7 @@ class Simulator:
     def light(self, made: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
         whole = slice(None)
-        table = None if isinstance(made.content, Cube) else np.asarray(
-            made.content.basis if isinstance(made.content, Basis) else made.content.spectra, np.float64).T
+        table = None if made.content.is_spectral else made.content.entry_spectra.T
         return self._warped(made, self._planes(made.content, table, (whole, whole)))
 
     def _warped(self, made: Plan, planes):
@@ -544,11 +543,10 @@ class Simulator:
     def _planes(self, content, table, window):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
         device = self.device
-        if isinstance(content, Materials):
-            ids, shading = content.ids[window], content.shading[window]
-            return materials(device.array(ids, np.uint16), device.array(shading), device.array(table), device=device)
-        stored = content.values if isinstance(content, Cube) else content.coefficients
-        stored = device.array(stored[(slice(None), *window)])
+        stored = device.array(content.planes[(..., *window)])
+        if content.labels is not None:
+            ids = device.array(content.labels[window], np.uint16)
+            return materials(ids, stored, device.array(table), device=device)
         return stored if table is None else integrate(stored, device.array(table), device=device)
 
     def _transfer(self, made: Plan):
@@ -649,7 +647,7 @@ class Simulator:
                  "sensor.bin", "sensor.noise", *developing, "processor.color", "display.encode")
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
-        form = type(scene.content).__name__.lower()
+        form = scene.content.form
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for D65, "
                                                  "saturation is display white"]
         if error is not None and made.varying is not None:

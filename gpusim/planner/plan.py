@@ -9,8 +9,9 @@ from scipy.special import j0, j1
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.scene import Basis, Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
@@ -18,7 +19,7 @@ from gpusim.planner.depth import DepthPlan, flattened, plan_depth
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
-from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights, unsplit_error
+from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.sampling import (
     AREA,
@@ -83,7 +84,7 @@ class Plan:
     table: np.ndarray | None
     gains: np.ndarray | None
     transfers: np.ndarray | None
-    content: Cube | Basis | Materials
+    content: Content
     highlights: Highlights | None
     varying: FieldBlur | None
     depth: DepthPlan | None
@@ -144,7 +145,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                       f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
 
     _check_light(scene, content, camera)
-    spectra = _entry_spectra(content)
+    spectra = content.entry_spectra
     ratio, blurred = float(scene.samples_per_pixel), optics.model != "none"
     aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
     cell = aperture if ratio == 1 else (1.0, 1.0)  # height and width over which blurred samples are integrated
@@ -159,7 +160,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         raise OutOfRange(f"{camera.name}: wavelength x f-number / {step}", f"{q.min():.2g}",
                          f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
     limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, content)
-    brightness = brightness_of(content, weights.sum(axis=0))
+    brightness = content.brightness(weights.sum(axis=0))
     mean_q = float(np.average(q, weights=weights.sum(axis=0)))
     size = blurred_level(brightness, mean_q, scene.margin) if blurred else 0.0
     highlights, ideal = None, optics.is_ideal and not optics.varies and optics.distortion is None and depth is None
@@ -207,8 +208,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                              "a blur that is the same all over the frame and at every angle")
         folded = False
     blur = "optics.nearfar" if fft_free else "optics.mosaic" if folded else "optics.blur"
-    stage = "spectral.materials" if isinstance(content, Materials) else "spectral.integrate"
-    form = type(content).__name__.lower()
+    stage = "spectral.materials" if content.labels is not None else "spectral.integrate"
+    form = content.form
     if not blurred:
         table, gains, transfers = weights @ spectra.T, None, None
         models[stage] = f"{form} of {len(spectra)} entries straight to {len(weights)} channels (no blur to apply)"
@@ -361,7 +362,7 @@ def _by_depth(scene, depth, content, optics, pitch, weights, limit):
                        ("the blur varies over the field", optics.varies), ("there is distortion", optics.distortion)):
         if is_so:
             return None, why
-    made = plan_depth(optics, pitch, depth, brightness_of(content, weights.sum(axis=0)), limit, scene=scene)
+    made = plan_depth(optics, pitch, depth, content.brightness(weights.sum(axis=0)), limit, scene=scene)
     for distance in made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
@@ -381,8 +382,7 @@ def _check_light(scene, content, camera):
     grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
     grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
                 & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
-    there = content.values.any(axis=(1, 2)) if isinstance(content, Cube) else _entry_spectra(content).any(axis=0)
-    lit = np.prod([np.interp(grid, nodes, there), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    lit = np.prod([np.interp(grid, nodes, content.lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
     lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
     if not lit.any():
         return
@@ -441,13 +441,12 @@ def _plain_axes(scene, ratio, aperture, displacement, _):
 
 def _exact(content, weights, spectra):
     """Table, gains, transfers and description of the plan that treats every band, or every entry, by itself."""
-    if not isinstance(content, Cube) and 2 * len(spectra) <= len(content.wavelengths):
+    if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
-        table = np.eye(len(spectra)) if isinstance(content, Materials) else None
-        form = type(content).__name__.lower()
+        table = np.eye(len(spectra)) if content.labels is not None else None
         return (table, np.ones((len(weights), len(spectra))), weights[:, None] * spectra,
-                f"exact per band, {len(spectra)} {form} planes transformed in place of {len(weights[0])}")
-    table = None if isinstance(content, Cube) else spectra.T
+                f"exact per band, {len(spectra)} {content.form} planes transformed in place of {len(weights[0])}")
+    table = None if content.is_spectral else spectra.T
     return table, weights, None, f"exact per band, {len(weights[0])} wavelengths"
 
 
@@ -562,7 +561,7 @@ def _prior(scene, content, own):
     The reflectances of PRIOR where a cube's light is known, so that all frames of a film share the operator; otherwise
     the scene's own.
     """
-    if not (isinstance(content, Cube) and scene.light_is_known):
+    if not (content.is_spectral and scene.light_is_known):
         return own.values
     likely = np.vstack([reflectances(name).at(content.wavelengths, outside=None) for name in PRIOR])
     return likely.T @ likely / len(likely)
@@ -579,13 +578,6 @@ def _guaranteed(scene, content, response, planes, limit):
     return None
 
 
-def _entry_spectra(content):
-    """Spectrum of one unit of each entry of the content, shape (entries, L)."""
-    if isinstance(content, Cube):
-        return np.eye(len(content.wavelengths))
-    return np.asarray(content.basis if isinstance(content, Basis) else content.spectra, np.float64)
-
-
 def _energy_beyond(radius, q):
     """Share of an Airy pattern's energy beyond `radius` [pixel]: J0(v)^2 + J1(v)^2, v = pi r / q (Rayleigh 1881)."""
     v = np.pi * radius / q
@@ -599,11 +591,7 @@ def _bytes(rows, cols, period, content, table, gains, transfers, bands, channels
     """
     frame, padded = rows * cols, prod(period)
     quarter = (period[0] // 2 + 1) * (period[1] // 2 + 1)
-    if isinstance(content, Materials):
-        stored = 6 * frame
-    else:
-        stored = 4 * (content.values if isinstance(content, Cube) else content.coefficients).size
-    total = stored + frame * (4 * channels + 4 + 2 + 12 + 3)
+    total = content.nbytes + frame * (4 * channels + 4 + 2 + 12 + 3)
     if gains is not None:
         planes = gains.shape[1]
         total += 4 * frame * (planes if table is not None else 0)

@@ -12,7 +12,7 @@ from math import ceil
 
 import numpy as np
 
-from gpusim.domain.scene import Basis, Cube, Materials
+from gpusim.domain.content import Content
 from gpusim.planner.fusion import SAMPLES
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
@@ -106,7 +106,7 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
     return along_y[:, None] * along_x
 
 
-def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: float, aperture, taps,
+def sampling_error(content: Content, weights, q, share, ratio: float, aperture, taps,
                    transfer_tables=None, displacement=(0.0, 0.0)) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
@@ -143,37 +143,25 @@ def _moments(content, weights):
 
     The differences are summed over both directions; first those from one material to another, then all others.
     """
-    planes = content.shading if isinstance(content, Materials) else (
-        content.values if isinstance(content, Cube) else content.coefficients)
-    total = planes.shape[-2]
-    count = max(8, SAMPLES // planes.shape[-1])
+    total, width = content.shape
+    count = max(8, SAMPLES // width)
     rows = np.unique(np.linspace(0, max(total - 2, 0), min(count, total)).astype(int))
-    spectra = np.eye(len(content.wavelengths)) if isinstance(content, Cube) else np.asarray(
-        content.basis if isinstance(content, Basis) else content.spectra, np.float64)
-    rates = spectra @ weights.T  # of a unit of each entry, (entries, C)
-
-    def channels(rows):
-        if isinstance(content, Materials):
-            return rates[content.ids[rows]] * content.shading[rows, :, None]
-        return np.moveaxis(planes[:, rows].astype(np.float64), 0, -1) @ rates
-
+    rates = content.entry_spectra @ weights.T  # of a unit of each entry, (entries, C)
     below = np.minimum(rows + 1, total - 1)
-    upper, lower = channels(rows), channels(below)
+    upper, lower = content.mixed(rates, rows), content.mixed(rates, below)
     down, across = (lower - upper) ** 2, np.diff(upper, axis=1) ** 2
     jump_down, jump_across = np.zeros(down.shape[:2], bool), np.zeros(across.shape[:2], bool)
-    if isinstance(content, Materials):
-        jump_down = content.ids[rows] != content.ids[below]
-        jump_across = np.diff(content.ids[rows].astype(int), axis=1) != 0
-        used = np.bincount(content.ids[rows].ravel(), content.shading[rows].ravel(), len(spectra))
-    else:
-        used = planes[:, rows].sum(axis=(1, 2), dtype=np.float64)
+    if content.labels is not None:
+        jump_down = content.labels[rows] != content.labels[below]
+        jump_across = np.diff(content.labels[rows].astype(int), axis=1) != 0
 
     def mean(squares, chosen):
         return (squares * chosen[..., None]).sum(axis=(0, 1)) / max(chosen.size, 1)
 
     jumps = mean(down, jump_down) + mean(across, jump_across)
     changes = mean(down, ~jump_down) + mean(across, ~jump_across)
-    return np.maximum(used @ spectra, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes
+    used = content.used(rows) @ content.entry_spectra
+    return np.maximum(used, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes
 
 
 @dataclass(frozen=True, eq=False)

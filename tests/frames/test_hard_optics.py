@@ -11,9 +11,10 @@ from test_fusion import CAMERA, WAVELENGTHS, as_cube, library, made_for, natural
 
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData
 from gpusim.domain.pupil import Pupil
-from gpusim.domain.scene import Cube, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur

@@ -17,11 +17,12 @@ from gpusim.data.learned import read_table, write_table
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange, UnknownName
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.images import write_png

@@ -13,7 +13,8 @@ from devices import KINDS
 from scipy.optimize import brentq
 
 from gpusim.data.cameras import open_camera
-from gpusim.domain.scene import Cube, Scene, unit_light
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.scheduler import Simulator
 
 ANGLE = np.radians(5)

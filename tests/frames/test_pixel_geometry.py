@@ -10,11 +10,12 @@ from scipy.special import erf, j1
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
+from gpusim.domain.content import Cube, Materials
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.domain.scene import Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur

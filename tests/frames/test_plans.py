@@ -9,7 +9,8 @@ from test_fusion import CAMERA, WAVELENGTHS, library, made_for, natural, respons
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic

@@ -14,12 +14,13 @@ from devices import ALL_KINDS, KINDS
 from gpusim.data.charts import chart
 from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs

@@ -12,9 +12,10 @@ from gpusim.cli import main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.content import Cube, Materials
 from gpusim.domain.errors import GpusimError, OutOfRange
 from gpusim.domain.pupil import Wavefront
-from gpusim.domain.scene import Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.io.npz import write_npz
 from gpusim.io.scenes import open_scene
 from gpusim.kernels.optics.airy import airy

@@ -44,7 +44,7 @@ def test_mean_electrons_agree_with_the_reference(camera):
 
 def test_scene_forms_agree():
     """The same spectra as cube, basis and materials give the same electrons: three paths through the stages."""
-    from gpusim.domain.scene import Basis, Cube
+    from gpusim.domain.content import Basis, Cube
 
     scene = chart("colorchecker", size=(48, 32))
     content = scene.content
