@@ -34,7 +34,7 @@ from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.scenes import mean_luminance
 from gpusim.l3.train import train, wanted_colors
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 CAMERAS = {"RGB Bayer": ("RG", "GB"), "RGBW": ("RG", "WB"), "RGBN": ("RG", "NB")}
 LUMINANCES = (1.0, 40.0)  # [cd m-2], mean over the frame

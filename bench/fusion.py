@@ -20,7 +20,7 @@ from gpusim.domain.content import Cube
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.planner.plan import BORDER_REACH
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 
 def naive(values, tables, weights, period, cfa, workers=2):
@@ -110,7 +110,7 @@ def _of_rank(camera, device, scene, rank):
 
 
 def _mosaic(simulator, plan):
-    rates, _ = simulator._rates(plan)
+    rates, _ = simulator.imaging.rates(plan)
     return simulator.device.numpy(rates)[0]
 
 

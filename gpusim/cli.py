@@ -33,7 +33,7 @@ def _simulate(arguments):
     from gpusim.io.atomic import atomic_path
     from gpusim.io.frames import check_format
     from gpusim.io.scenes import open_scene
-    from gpusim.scheduler import Simulator
+    from gpusim.simulator import Simulator
 
     outputs = [_numbered(path, arguments.frames) for path in arguments.out]
     _check_outputs(outputs, arguments)  # said before the work, not after it

@@ -9,7 +9,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.domain.scene import Scene
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 FIRST_STEP = 4.0  # [pixel] of circle of confusion between the first positions
 WAVELENGTH = 550.0  # [nm] at which the depth of focus is counted

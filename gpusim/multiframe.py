@@ -7,14 +7,16 @@ import numpy as np
 from gpusim.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.frame import Frame
 from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
 from gpusim.measure.merge import MARGIN, ROUNDING
+from gpusim.program.shots import HOT
 from gpusim.report import StageReport
-from gpusim.scheduler import HOT, Frame, Simulator
+from gpusim.simulator import Simulator
 
 PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value in merged raw values
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
@@ -131,7 +133,9 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
         linear = with_flash(ambient.linear, flash.linear, ambient_noise=ambient_noise, flash_noise=flash_noise,
                             full=full if full > 0 else np.inf, radius=radius, reach=reach, device=simulator.device)
     as_is = dataclasses.replace(ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf))
-    shown = Developer(ambient.camera, simulator.device).shown(simulator.device.array(linear), as_is)
+    developer = Developer(ambient.camera, simulator.device)
+    shown = developer.colored(simulator.device.array(linear), as_is)
+    shown = shown, developer.encoded(shown)
     linear, rgb = (np.array(simulator.device.numpy(array)) for array in shown)
     *stages, encoding = ambient.report.stages
     by_flash = StageReport("processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0))
@@ -252,7 +256,8 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         once = frame.rendering
         shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
                                        ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
-        shown = developer.shown(planes, shown_by)
+        shown = developer.colored(planes, shown_by)
+        shown = shown, developer.encoded(shown)
     linear, rgb = (np.array(device.numpy(array)) for array in shown)
     first = {}
     if defects != "none":

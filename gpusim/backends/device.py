@@ -71,6 +71,14 @@ class Device:
         """Wait, then the values as NumPy: a view where `on_host`, else a copy."""
         return np.asarray(array)
 
+    def stack(self, arrays):
+        """Copies of arrays of this device, all of one shape and type, as one array: its first axis counts them."""
+        return np.stack(arrays)
+
+    def part(self, array, index: int):
+        """A copy of `array[index]`, on the device."""
+        return np.array(array[index])
+
     def launch(self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None):
         """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
 
@@ -125,7 +133,7 @@ class _Forked(Device):
     def _refuse(self, *_, **__):
         refuse_fork(self.name)
 
-    array = empty = reshape = numpy = launch = sync = _refuse  # type: ignore[assignment]
+    array = empty = reshape = numpy = stack = part = launch = sync = _refuse  # type: ignore[assignment]
 
 
 _in_use: weakref.WeakSet[Device] = weakref.WeakSet()

@@ -25,7 +25,7 @@ from gpusim.measure.ideal import pixel_sums
 from gpusim.planner.color import color_matrix
 from gpusim.planner.rendering import efficiency
 from gpusim.planner.weights import product_weights
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 OUTPUTS = ("channels", "xyz")
 GENERATED = 30  # scenes

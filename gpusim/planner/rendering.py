@@ -36,7 +36,7 @@ class Rendering:
 def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1) -> Rendering:
     """Transforms by which a perfect white diffuser in the scene's light comes out as display white.
 
-    camera: as operated (see `gpusim.scheduler.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
+    camera: as operated (see `gpusim.simulator.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
     the scene's light is unknown, or not to be used, the target light is assumed; where it is unknown, saturation
     becomes display white.
     Raises BadData (see `color_matrix`).

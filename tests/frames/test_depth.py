@@ -23,7 +23,7 @@ from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.planner.depth import circle_of_confusion, distance_of, plan_depth
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 PITCH = 2e-6
 LENS = Optics(f_number=2.0, focal_length=5e-3, object_distance=0.4)

@@ -17,7 +17,7 @@ from gpusim.domain.sensor import Microlens
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.warp import warp
 from gpusim.planner.geometry import microlens_gain, relative_illumination, warp_grid
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 PITCH = 1.4e-6
 HEIGHTS = np.linspace(0, 1.5, 31) * 1e-3

@@ -23,7 +23,7 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.planner.estimate import check_rank, estimate
 from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.highlights import CORE, airy_density, point_kernels
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 CFA = CAMERA.sensor.cfa_indices
 LIGHT = white_radiance(illuminant("D65"), 100.0)

@@ -31,7 +31,7 @@ from gpusim.io.scenes import mean_luminance
 from gpusim.l3.cli import add_command, luminances
 from gpusim.l3.scenes import training_scenes
 from gpusim.l3.train import train, training_camera, wanted_colors
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 NODES = np.concatenate([[40, 399], np.arange(400, 701, 10), [701, 7000]])  # curves are zero outside 400 .. 700 nm
 

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from gpusim.data.cameras import open_camera
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 ANGLE = np.radians(5)
 MARGIN = 80

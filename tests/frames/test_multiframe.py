@@ -16,7 +16,7 @@ from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
 from gpusim.multiframe import _display_noise, merge_bracket, merge_burst, merge_flash
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 PHONE = gs.open_camera("phone")
 COUNT = 8  # frames of a burst

@@ -24,7 +24,7 @@ from gpusim.planner.geometry import vignetting_gain
 from gpusim.planner.lens import PupilLens
 from gpusim.planner.psf import psf_tables
 from gpusim.planner.sampling import sampling_error
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 BANDS = np.array([500.0, 550.0, 600.0])  # [nm]
 OBLONG, ASIDE = (1.0, 0.5), (0.5, -0.25)  # height and width, (rows, cols) [pixel]

@@ -16,7 +16,7 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.planner.fusion import Spectra, joint_operator
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 LINES = {3: 1.2e-3, 4: 4e-4, 6: 1e-5}  # relative RMS errors that the ranks have to keep
 

@@ -24,7 +24,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs
-from gpusim.scheduler import Simulator
+from gpusim.program.imaging import Imaging
+from gpusim.simulator import Simulator
 
 Z = 4.5
 ULP = 2.0**-23  # of float32, relative: twice the largest rounding error
@@ -274,8 +275,8 @@ def test_noise_off_is_the_mean_rounded():
 
 def counting(monkeypatch):
     """List that grows by one each time the optics is computed."""
-    calls, rates = [], Simulator._rates
-    monkeypatch.setattr(Simulator, "_rates", lambda self, made: calls.append(1) or rates(self, made))
+    calls, rates = [], Imaging.rates
+    monkeypatch.setattr(Imaging, "rates", lambda self, made: calls.append(1) or rates(self, made))
     return calls
 
 

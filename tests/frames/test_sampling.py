@@ -21,7 +21,7 @@ from gpusim.io.scenes import open_scene
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
 from gpusim.planner.sampling import AREA, NODES, frame_start, pixel_taps
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 RATIOS = [1.25, 1.5, 2.0, 2.5, 3.0, np.pi, 4.0]
 FILLS = [1.0, 0.75]

@@ -18,7 +18,7 @@ from gpusim.cli import main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.domain.noise import Noise
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 
 def run(capsys, *argv):
