@@ -19,6 +19,7 @@ from gpusim.kernels.common.fft import LENGTHS, fft_length
 from gpusim.kernels.optics.mosaic import transform_lengths
 from gpusim.kernels.sensor.expect import expect
 from gpusim.kernels.sensor.shutter import shutter
+from gpusim.planner.facts import Facts
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.shutter import shutter_weights
 from gpusim.program.imaging import Imaging
@@ -175,8 +176,8 @@ class Simulator:
             mean = mean[pixels[:, 0], pixels[:, 1]]
         return Error.between(mean, truth, self.camera.sensor.read_sigma)
 
-    def plan(self, scene: Scene) -> Plan:
-        """What a frame of `scene` takes. Raises BadData, DoesNotFit."""
+    def plan(self, scene: Scene, facts: Facts | None = None) -> Plan:
+        """What a frame of `scene` takes. facts: of it, where they are known. Raises BadData, DoesNotFit."""
         most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
             LENGTHS[-1] - 2 * (ceil((self.reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
         if max(scene.samples) > most and not self.period:
@@ -184,7 +185,7 @@ class Simulator:
         self.readout.output_shape(scene.shape)
         made = plan(scene, self.camera, transform_lengths, fft_length, self.imaging.tables.sampled, self.tolerance,
                     self.guaranteed, self.reach, self.fft_free, self.period,
-                    lambda what, key, make: self.kept(what, (self.planned_by, key), make))
+                    lambda what, key, make: self.kept(what, (self.planned_by, key), make), facts)
         available = self.device.memory
         needed = made.bytes_needed * (4 if self.device.kind == "numpy" else 1)  # float64 and complex temporaries
         if needed > available:

@@ -92,9 +92,14 @@ class Device:
 
     @contextmanager
     def timed(self):
-        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block."""
+        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block.
+
+        What is timed inside belongs to blocks around it, too.
+        """
         self.sync()
         clock = self._clock
+        if clock.times is not None:
+            self._collect(clock)  # what was launched before is the outer block's
         clock.times, outer = defaultdict(float), clock.times
         times = clock.times
         try:
@@ -103,6 +108,8 @@ class Device:
             self._collect(clock)
         finally:
             clock.times = outer
+            for stage, spent in times.items() if outer is not None else ():
+                outer[stage] += spent
 
     def _collect(self, clock):
         """Add the device's own event times to `clock.times`."""

@@ -15,9 +15,10 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
-from gpusim.planner.depth import DepthPlan, flattened, plan_depth
+from gpusim.planner.depth import DepthPlan, plan_depth
+from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
-from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
+from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
 from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
@@ -107,7 +108,7 @@ class Plan:
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
          tolerance: Tolerance | None = None, guaranteed: bool = False, reach: int | None = None,
          fft_free: bool = False, period: tuple[int, int] | None = None,
-         keep=lambda _, __, make: make()) -> Plan:
+         keep=lambda _, __, make: make(), facts: Facts | None = None) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     transform_lengths: function of the least (rows, cols) and the mosaic's period that gives the kernels' transform
@@ -121,14 +122,16 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
     needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
     transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
-    then. keep: function (what, key, make) that may give what make() gave before for the same key.
+    then. keep: function (what, key, make) that may give what make() gave before for the same key. facts: of the scene,
+    where they were read before.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     optics, sensor = camera.optics, camera.sensor
-    nodes, (content, depth) = scene.wavelengths, flattened(scene)
+    facts = Facts.of(scene) if facts is None else facts
+    nodes, content, depth = scene.wavelengths, facts.content, facts.depth
     area = prod(sensor.aperture)
     factors = [scene.illuminant, sensor.qe]
     constant = area * optics.irradiance_factor
@@ -159,8 +162,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         step = "pixel pitch" if ratio == 1 else "distance of scene samples"
         raise OutOfRange(f"{camera.name}: wavelength x f-number / {step}", f"{q.min():.2g}",
                          f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
-    limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, content)
-    brightness = content.brightness(weights.sum(axis=0))
+    limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, facts)
+    brightness = facts.brightness(weights.sum(axis=0))
     mean_q = float(np.average(q, weights=weights.sum(axis=0)))
     size = blurred_level(brightness, mean_q, scene.margin) if blurred else 0.0
     highlights, ideal = None, optics.is_ideal and not optics.varies and optics.distortion is None and depth is None
@@ -168,7 +171,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if (blurred and not period and ideal and cell[0] == cell[1] and not any(moved)
             and (ratio > 1 or not sensor.stacked)):
         content, highlights = split_highlights(content, brightness, q.max(), scene.margin, rule_of(scene.border))
-    by_depth, without = _by_depth(scene, depth, content, optics, sensor.pixel_pitch / ratio, weights, limit)
+        facts = facts if highlights is None else Facts(content)
+    by_depth, without = _by_depth(scene, facts, optics, sensor.pixel_pitch / ratio, weights, limit)
     spread = by_depth.reach if by_depth else spread_radius(optics, nodes, sensor.pixel_pitch / ratio) if blurred else 0
 
     def lengths(least):
@@ -239,13 +243,13 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             response = Response.of(even, tables, sensor.cfa_indices)
         if optics.varies:
             inputs, transfers, gains, varying, wrong, models[blur] = _varying(
-                scene, content, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
+                scene, facts, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
                 fft_length, keep)
             table = inputs @ spectra.T
             models["optics.field"] = varying.report
             predicted["field at the worst place"] = varying.error[1]
         elif limit is not None:
-            fused = (_guaranteed if guaranteed else _fused)(scene, content, response, gains.shape[1], limit)
+            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit)
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
@@ -258,6 +262,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
         else:
             models["optics.pupil"] = f"{optics.description}, integrated over {over}"
+        if transfers is not None:
+            models.setdefault("spectral.integrate", f"tables of {len(nodes)} wavelengths to those of the planes")
         models[blur] += ", folded into the mosaic" if folded else ", without transforms" if fft_free else ""
     if by_depth is not None:
         models["optics.composite"] = by_depth.model
@@ -307,7 +313,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
-    predicted["scene sampling"] = sampling_error(content, weights, q, share, ratio, aperture, taps,
+    predicted["scene sampling"] = sampling_error(facts.moments(weights), weights, q, share, ratio, aperture, taps,
                                                  None if gains is None else tables_of, moved)
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
@@ -354,15 +360,15 @@ def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, leve
     return *transform(reach), border[0], "" if tolerance is None else broken(border, tolerance, level)
 
 
-def _by_depth(scene, depth, content, optics, pitch, weights, limit):
+def _by_depth(scene, facts, optics, pitch, weights, limit):
     """How the blur goes by distance, None where it does not; and why it does not although the scene tells distances."""
-    if depth is None:
+    if facts.depth is None:
         return None, ""
     for why, is_so in (("there is no blur", optics.model == "none"), ("the lens was measured at one", optics.psf),
                        ("the blur varies over the field", optics.varies), ("there is distortion", optics.distortion)):
         if is_so:
             return None, why
-    made = plan_depth(optics, pitch, depth, content.brightness(weights.sum(axis=0)), limit, scene=scene)
+    made = plan_depth(optics, pitch, facts.depth, facts.brightness(weights.sum(axis=0)), limit, scene=scene)
     for distance in made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
@@ -450,7 +456,7 @@ def _exact(content, weights, spectra):
     return table, weights, None, f"exact per band, {len(weights[0])} wavelengths"
 
 
-def _limit(tolerance, sensor, weights, content):
+def _limit(tolerance, sensor, weights, facts):
     """Relative RMS error that keeps every bound of the tolerance, and the electrons of the frame's RMS level.
 
     The noise's sigma at the RMS level is at most the root of that level, which is below saturation; an exposure
@@ -458,7 +464,7 @@ def _limit(tolerance, sensor, weights, content):
     """
     level = sensor.saturation
     if sensor.exposure_time is not None:
-        values = Spectra.of(content).values
+        values = facts.spectra.values
         signal = np.einsum("cl,lm,cm->c", weights, values, weights)
         level = sensor.exposure_time * np.sqrt(signal.mean())
     sigmas = np.sqrt(max(level, 1.0))
@@ -491,14 +497,14 @@ def _quick_tables(optics, pitch, q, aperture, rows, cols, finer):
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _varying(scene, content, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
+def _varying(scene, facts, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
     """Planes, transfers on the axis, gains, field-varying rest, error and description of a blur that varies.
 
     Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
     kernels share the limit.
     """
-    own, channels = Spectra.of(content), len(response.weights)
-    prior = _prior(scene, content, own)
+    own, channels = facts.spectra, len(response.weights)
+    prior = _prior(scene, facts)
     operators = [] if guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
     for count in range(1, MOST_PLANES + 1):
         if guaranteed:
@@ -517,12 +523,12 @@ def _varying(scene, content, response, guaranteed, lens, flat, shape, corner, li
     strength = np.maximum(strength / np.maximum(gains.T @ whole, 1e-300), 1e-12)
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     varying = keep("field plan", (shape, corner, limit, transfers.tobytes(), lens.pitch), lambda: choose(
-        Differences(lens, content.wavelengths, transfers * flat, shape, corner, limit / 8), shape,
+        Differences(lens, facts.content.wavelengths, transfers * flat, shape, corner, limit / 8), shape,
         limit / 2 / np.sqrt(count), fft_length))
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count)))
     return table, transfers[None], gains, varying, error, (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
-        f"{len(content.wavelengths)} wavelengths")
+        f"{len(facts.content.wavelengths)} wavelengths")
 
 
 def _blocks(parts):
@@ -534,14 +540,14 @@ def _blocks(parts):
     return out
 
 
-def _fused(scene, content, response, planes, limit):
+def _fused(scene, facts, response, planes, limit):
     """The joint operator of the lowest rank predicted to keep `limit`; None where `planes` exact ones do as well.
 
     The error is predicted for the scene's own spectra whatever the prior: what lies outside the prior is seen, and
     raises the rank.
     """
-    own = Spectra.of(content)
-    prior = _prior(scene, content, own)
+    own = facts.spectra
+    prior = _prior(scene, facts)
     if not np.trace(prior) > 0:
         return None
     operator = joint_operator(response, prior)
@@ -551,30 +557,30 @@ def _fused(scene, content, response, planes, limit):
             break
         if PREDICTION_FACTOR * error < limit:
             return (operator.w_in[:, :rank].T, operator.transfers(rank), error,
-                    f"joint spectral operator of rank {rank} in place of {len(content.wavelengths)} wavelengths")
+                    f"joint spectral operator of rank {rank} in place of {len(facts.content.wavelengths)} wavelengths")
     return None
 
 
-def _prior(scene, content, own):
+def _prior(scene, facts):
     """E[x^T x] of likely spectra, shape (L, L).
 
     The reflectances of PRIOR where a cube's light is known, so that all frames of a film share the operator; otherwise
     the scene's own.
     """
-    if not (content.is_spectral and scene.light_is_known):
-        return own.values
-    likely = np.vstack([reflectances(name).at(content.wavelengths, outside=None) for name in PRIOR])
+    if not (facts.content.is_spectral and scene.light_is_known):
+        return facts.spectra.values
+    likely = np.vstack([reflectances(name).at(facts.content.wavelengths, outside=None) for name in PRIOR])
     return likely.T @ likely / len(likely)
 
 
-def _guaranteed(scene, content, response, planes, limit):
+def _guaranteed(scene, facts, response, planes, limit):
     """The operator of fewest planes a channel whose bound over all spectra keeps `limit`; None: exact is as cheap."""
     channels = len(response.weights)
     for count in range(1, (planes - 1) // channels + 1):
         operator = channel_operator(response, count)
         if operator.bound < limit:
             return (operator.table, operator.transfers, operator.bound,
-                    f"{count} planes a channel, right for every spectrum, in place of {len(content.wavelengths)}")
+                    f"{count} planes a channel, right for every spectrum, in place of {len(facts.content.wavelengths)}")
     return None
 
 

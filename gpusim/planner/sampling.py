@@ -106,15 +106,15 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
     return along_y[:, None] * along_x
 
 
-def sampling_error(content: Content, weights, q, share, ratio: float, aperture, taps,
+def sampling_error(channels: "Moments", weights, q, share, ratio: float, aperture, taps,
                    transfer_tables=None, displacement=(0.0, 0.0)) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
-    weights: electrons per content, shape (C, L). q: wavelength times f-number over the distance of samples, (L,).
-    share: part of the pixels that has each channel, (C,). aperture: height and width of a pixel's [pixel]. taps: pair
-    of `Taps` (rows, columns), None where each pixel is one sample. transfer_tables: see `gpusim.planner.plan.plan`;
-    None without blur. displacement: of the apertures' middles from the samples, (rows, cols) [pixel], where there are
-    no taps.
+    channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
+    f-number over the distance of samples, (L,). share: part of the pixels that has each channel, (C,). aperture: height
+    and width of a pixel's [pixel]. taps: pair of `Taps` (rows, columns), None where each pixel is one sample.
+    transfer_tables: see `gpusim.planner.plan.plan`; None without blur. displacement: of the apertures' middles from the
+    samples, (rows, cols) [pixel], where there are no taps.
 
     The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
     where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
@@ -123,26 +123,36 @@ def sampling_error(content: Content, weights, q, share, ratio: float, aperture, 
     T optics and pixel. Samples of which each has one material cannot be means: where the material changes, A is 1.
     The error is that of scene structure: lights of a point (highlights) are no part of it.
     """
-    means, squares, jumps, changes = _moments(content, weights)
-    if not share @ squares > 0:
+    if not share @ channels.squares > 0:
         return 0.0
     waves = _Waves.of(2.0 if transfer_tables is None else float(q.min()))
     optical = [None] * len(share) if transfer_tables is None else _channel_optics(
-        waves, weights * means, q, ratio, transfer_tables)
+        waves, weights * channels.means, q, ratio, transfer_tables)
     one = np.ones(waves.all.shape)
     responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
     error = 0.0
     for channel, part in enumerate(share):
         per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses, displacement)
-        error += part * (per_jump * jumps[channel] + per_change * changes[channel])
-    return float(np.sqrt(error / (share @ squares)))
+        error += part * (per_jump * channels.jumps[channel] + per_change * channels.changes[channel])
+    return float(np.sqrt(error / (share @ channels.squares)))
 
 
-def _moments(content, weights):
-    """The content's mean spectrum (L,), and per channel its mean square and those of differences between neighbours.
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Moments of a content seen by C channels.
 
-    The differences are summed over both directions; first those from one material to another, then all others.
+    means: the mean spectrum, shape (L,). squares: mean squares of the channels (C,). jumps, changes: mean squares of
+    differences between neighbours, summed over both directions: from one material to another, and all others (C,).
     """
+
+    means: np.ndarray
+    squares: np.ndarray
+    jumps: np.ndarray
+    changes: np.ndarray
+
+
+def moments(content: Content, weights) -> Moments:
+    """Moments from evenly spaced pairs of rows. weights: of the channels, shape (C, L)."""
     total, width = content.shape
     count = max(8, SAMPLES // width)
     rows = np.unique(np.linspace(0, max(total - 2, 0), min(count, total)).astype(int))
@@ -161,7 +171,7 @@ def _moments(content, weights):
     jumps = mean(down, jump_down) + mean(across, jump_across)
     changes = mean(down, ~jump_down) + mean(across, ~jump_across)
     used = content.used(rows) @ content.entry_spectra
-    return np.maximum(used, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes
+    return Moments(np.maximum(used, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,14 +45,19 @@ class Imaging:
         return warp(planes, self.device.array(made.warp.nodes[None]), shape, border, made.warp.method,
                     device=self.device)
 
-    def rates(self, made: Plan):
-        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes."""
+    def rates(self, made: Plan, kept: Kept | None = None):
+        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
+
+        kept: where the planes before the blur are kept for the next plan of the same scene.
+        """
         device, content, margin = self.device, made.content, made.scene.margin
         cfa = self.camera.sensor.cfa_indices
         border = "edge" if made.scene.border == "scene" else made.scene.border
         # without blur or distortion nothing outside the frame is needed
         window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
-        planes = self._warped(made, self._planes(content, made.table, (window, window)))
+        planes = (kept or Kept())("planes before the blur", (content, made.table, window), lambda: self._planes(
+            content, made.table, (window, window)))
+        planes = self._warped(made, planes)
         if made.gains is None:
             return self.pixels(made, planes), cfa
         if made.folded:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 SMALL = 2**18  # entries up to which arrays are compared by value; larger ones are the same if they are one array
-PLAIN = (str, bytes, int, float, bool, type(None), np.generic)
+PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
 
 
 class Kept:

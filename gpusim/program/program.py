@@ -6,6 +6,7 @@ import time
 from gpusim.domain.exposure import checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
+from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
@@ -44,7 +45,9 @@ class Program:
     @property
     def plan(self) -> Plan:
         """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange."""
-        return self._kept("plan", (self.scene, self.simulator.planned_by), lambda: self.simulator.plan(self.scene))
+        facts = self._kept("facts", self.scene, lambda: Facts.of(self.scene))
+        by = self.scene, self.simulator.planned_by
+        return self._kept("plan", by, lambda: self.simulator.plan(self.scene, facts))
 
     @property
     def exposure(self) -> Exposure:
@@ -52,7 +55,7 @@ class Program:
         simulator, start = self.simulator, time.perf_counter()
         plan = self.plan
         with simulator.timed() as ms:
-            rates = self._kept("rates", plan, lambda: simulator.imaging.rates(plan))
+            rates = self._kept("rates", plan, lambda: simulator.imaging.rates(plan, self._kept))
             per_second = lambda: self._kept("per second", plan, lambda: simulator.imaging.exposed(plan, rates, 1.0))  # noqa: E731
             metering = plan, simulator.metered_by, self._exposure_time, self._gain
             seconds, gain = self._kept("metered", metering, lambda: simulator.metered(

@@ -33,7 +33,7 @@ EXPOSE = {"sensor.expose", "sensor.expect", *READ}
 BLUR = {"optics.airy", "optics.mosaic", *EXPOSE}
 CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
     "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
-    "color": ({"processor": {"color": "none"}}, COLOUR),
+    "color": ({"processor": {"training": "munsell"}}, COLOUR),
     "demosaic": ({"processor": {"demosaic": "malvar"}}, {"processor.malvar", *COLOUR}),
     "read noise": ({"noise": {"read": 9.0}}, READ),
     "offsets": ({"noise": {"dsnu": 5.0}}, {"sensor.pattern", *READ}),
@@ -89,7 +89,7 @@ def test_what_is_given_to_the_program_itself(device, scene):
 
 
 def test_automatic_exposure_is_metered_anew_where_it_must_be(scene):
-    automatic = camera_with(BASE, sensor={"exposure_time": None})
+    automatic = camera_with(BASE, sensor={"exposure_time": None}, noise={"dark_current": 0.0})
     program = gs.Simulator(automatic, device="numpy").program(scene)
     first = program.exposure.exposure_time
     darker = camera_with(automatic, sensor={"auto_exposure": gs.AutoExposure(level=0.475)})  # half of .95
