@@ -1,12 +1,12 @@
 """A camera's image processor on a device: from digital numbers to a picture."""
 
 from dataclasses import dataclass, replace
-from math import hypot
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
@@ -64,15 +64,10 @@ class Developer:
     def noise(self) -> tuple[float, float]:
         """(gain [DN/e-], noise without light [DN]) of raw values: their variance is gain (DN - dark level) + noise^2.
 
-        Without light: read, row, column and dark-signal noise, as if they were of every pixel alone, and rounding. PRNU
-        is left out.
+        Without light: all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
         """
-        sensor, noise = self.camera.sensor, self.camera.sensor.noise
-        gain = sensor.gain_dn_per_electron
-        rounding = 0.0 if sensor.bits == FLOAT_BITS else 12**-0.5
-        dark = hypot(gain * hypot(sensor.read_sigma, noise.row, noise.column, noise.dsnu, noise.row_dsnu,
-                                  noise.column_dsnu), rounding)
-        return (0.0 if noise.photon == "none" else gain) / self.averaged, dark / self.averaged**0.5
+        noise, gain = RawNoise.of(self.camera.sensor, self.averaged), self.camera.sensor.gain_dn_per_electron
+        return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
     def demosaicked(self, raw, *, white=None, known=None, gains=None, blur: float = 0.0):
         """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.

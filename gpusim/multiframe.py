@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.raw_noise import ROUNDING, RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.frame import Frame
 from gpusim.kernels.processor.align import align, checked_stack
@@ -13,7 +14,7 @@ from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
-from gpusim.measure.merge import MARGIN, ROUNDING
+from gpusim.measure.merge import MARGIN
 from gpusim.program.shots import HOT
 from gpusim.report import StageReport
 from gpusim.simulator import Simulator
@@ -45,7 +46,7 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     if simulator.readout.averaged > 1:
         raise BadData("merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
                       '"charge", or no binning')
-    tables = _tables(simulator, frames)
+    tables = _tables(frames)
     order = np.argsort(-(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable")
     frames, tables = [frames[i] for i in order], {key: values[order] for key, values in tables.items()}
     times, sensor = tables["time"], frames[0].camera.sensor
@@ -106,7 +107,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     dark = sensor.noise.dark_current * sensor.noise.warmth * times[0]
     electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(count * dark)
     full = (sensor.white_level - sensor.dark_level) / gain
-    dark_noise = float(np.sqrt(count * (np.square(noise[1] / gain) + _photons(sensor) * dark)))
+    dark_noise = float(np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark)))
     return _developed(simulator, frames[int(reference)], electrons, exposure_time=count * times[0], full=count * full,
                       saturated=sensor.saturation / full, ratio=1 / count, dark_noise=dark_noise,
                       defects=_defects(simulator, frames), ms=ms,
@@ -171,21 +172,14 @@ def _checked(function, frames, most):
     return frames
 
 
-def _photons(sensor):
-    """Variance of a mean electron's number [e-]."""
-    return float(sensor.noise.photon != "none")
-
-
-def _tables(simulator, frames):
+def _tables(frames):
     """What `processor.merge` wants to know of each frame."""
     rows = []
     for frame in frames:
-        sensor, time = frame.camera.sensor, frame.exposure_time
+        sensor, time, noise = frame.camera.sensor, frame.exposure_time, RawNoise.of(frame.camera.sensor)
         gain, dark = sensor.gain_dn_per_electron, sensor.noise.dark_current * sensor.noise.warmth * time
-        read = Developer(frame.camera, simulator.device).noise[1] / gain
-        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * read)
-        rows.append((sensor.dark_level + gain * dark, gain, time, read**2 + _photons(sensor) * dark,
-                     min(full, sensor.white_level)))
+        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
+        rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), min(full, sensor.white_level)))
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
@@ -285,9 +279,11 @@ def _bright(electrons, limit):
 
 
 def _display_noise(frame, averaged=1):
-    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`."""
+    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`.
+
+    Both pictures have the chip's fixed offsets, which make no pixels unlike: the noise is that from frame to frame.
+    """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
-    chip, scale = sensor.noise, sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
-    read = sensor.read_sigma**2 + chip.row**2 + chip.column**2 + ROUNDING / sensor.gain_dn_per_electron**2
-    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * _photons(sensor)
-    return np.column_stack([per_light, scale**2 * read * (matrix**2).sum(axis=1)]) / averaged
+    noise, scale = RawNoise.of(sensor, averaged), sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
+    return np.column_stack([per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)])

@@ -17,6 +17,7 @@ from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import XYZ, Code, FilterTable, Layout
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
 from gpusim.l3.fit import NormalEquations
 from gpusim.l3.layout import layout
@@ -211,8 +212,7 @@ def _strengths(camera, light, luminances, scenes, seed):
     rates = Simulator(camera, device="numpy").plan(white).white_rate
     assert rates is not None
     if luminances is None:
-        noise = np.hypot(sensor.read_sigma, sensor.noise.dsnu)
-        lowest = DARKEST * max(noise, 1.0) / sensor.saturation
+        lowest = DARKEST * max(RawNoise.of(sensor).variance() ** 0.5, 1.0) / sensor.saturation
         highest = max(rates.max() / rates.min(), 2 * lowest)
     else:
         values = np.atleast_1d(np.asarray(luminances, np.float64))

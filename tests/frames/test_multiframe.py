@@ -441,6 +441,21 @@ def test_burst_knows_all_noise(monkeypatch):
     assert told["noise"][0] == pytest.approx(simulate.camera.sensor.gain_dn_per_electron)
 
 
+def test_burst_of_binned_numbers_averages_the_dark_current_s_noise():
+    """Means of 4 digital numbers have a quarter of it: what is said of the dark is the scatter of the dark's electrons.
+
+    Of 100 e- of dark current and 30 of reading, 8 frames: 32 x 32 values scatter by sqrt(2 / 1024) = 4.4 % of the
+    variance, and 2 % more is left where displacements follow the noise (as at rest). With all of the dark current's
+    noise it would be 3.3 times as large.
+    """
+    simulate = processed({"exposure_time": 0.05, "binning": (2, 2), "binning_mode": "digital"},
+                         {"dark_current": 2000.0, "dsnu": 0.0})
+    frame = merge_burst(simulate, list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT)))
+    assert simulate.readout.averaged == 4
+    said = frame.camera.sensor.noise.read ** 2 / 4
+    assert frame.mean.var() == pytest.approx(said, rel=4.5 * np.sqrt(2 / frame.mean.size) + 0.02)
+
+
 # --- flash ------------------------------------------------------------------------------------------------------------
 
 def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
