@@ -87,12 +87,12 @@ class Content:
                                                  for name in ("wavelengths", *self.shared))
 
     def mixed(self, rates, rows=slice(None)):
-        """What samples of whole rows give where one unit of each entry gives `rates` (entries, C): (rows, cols, C)."""
-        return np.moveaxis(self.planes[:, rows].astype(np.float64), 0, -1) @ rates
+        """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols)."""
+        return np.tensordot(rates, self.planes[:, rows].astype(np.float64), 1)
 
-    def spectra_at(self, rows):
-        """Spectra of whole rows, float64 (rows, cols, L)."""
-        return self.mixed(self.entry_spectra, rows)
+    def bands_at(self, rows) -> np.ndarray:
+        """Spectra of whole rows, float64 (L, rows, cols)."""
+        return self.mixed(self.entry_spectra.T, rows)
 
     def used(self, rows=slice(None)):
         """How much of each entry is in whole rows, all samples added up, shape (entries,)."""
@@ -164,8 +164,8 @@ class Cube(Content):
     def divided(self, light):
         return replace(self, values=self.values / np.asarray(light, np.float32)[:, None, None])
 
-    def spectra_at(self, rows):
-        return np.moveaxis(self.values[:, rows].astype(np.float64), 0, -1)
+    def bands_at(self, rows):
+        return self.values[:, rows].astype(np.float64)
 
     def points(self, rows, cols):
         return self.values[:, rows, cols].T.astype(np.float64), np.arange(len(rows)), np.ones(len(rows))
@@ -230,7 +230,7 @@ class Materials(Content):
         return self.ids
 
     def mixed(self, rates, rows=slice(None)):
-        return rates[self.ids[rows]] * self.shading[rows, :, None]
+        return rates[:, self.ids[rows]] * self.shading[rows]
 
     def used(self, rows=slice(None)):
         return np.bincount(self.ids[rows].ravel(), self.shading[rows].ravel(), len(self.spectra))

@@ -111,16 +111,16 @@ class Spectra:
         rows, cols = content.shape
         count = min(max(rows - 1, 1), max(8, SAMPLES // cols))
         first = np.unique(np.linspace(0, max(rows - 2, 0), count).astype(int))
-        upper, lower = (content.spectra_at(np.minimum(y, rows - 1)) for y in (first, first + 1))
-        across, down = np.diff(upper, axis=1), lower - upper
+        upper, lower = (content.bands_at(np.minimum(y, rows - 1)) for y in (first, first + 1))
+        across, down = np.diff(upper, axis=2), lower - upper
         values = _moment(upper)
         differences = _moment(down)
         return cls(values, differences + (_moment(across) if across.size else 0))
 
 
-def _moment(vectors):
-    vectors = vectors.reshape(-1, vectors.shape[-1])
-    return vectors.T @ vectors / len(vectors)
+def _moment(bands):
+    bands = bands.reshape(len(bands), -1)
+    return bands @ bands.T / bands.shape[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from math import ceil, prod
 
 import numpy as np
@@ -240,7 +240,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                 fx = np.arange(SAMPLED_PERIOD // 2 + 1) / SAMPLED_PERIOD
                 fy = np.fft.fftfreq(SAMPLED_PERIOD) if tables.shape[-2] > len(fx) else fx
                 tables = tables * pixel_response(taps, fy, fx)
-            response = Response.of(even, tables, sensor.cfa_indices)
+            response = keep("response", (even, tables, sensor.cfa_indices),
+                            lambda: Response.of(even, tables, sensor.cfa_indices))
         if optics.varies:
             inputs, transfers, gains, varying, wrong, models[blur] = _varying(
                 scene, facts, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
@@ -249,7 +250,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             models["optics.field"] = varying.report
             predicted["field at the worst place"] = varying.error[1]
         elif limit is not None:
-            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit)
+            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit, keep)
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
@@ -540,7 +541,7 @@ def _blocks(parts):
     return out
 
 
-def _fused(scene, facts, response, planes, limit):
+def _fused(scene, facts, response, planes, limit, keep):
     """The joint operator of the lowest rank predicted to keep `limit`; None where `planes` exact ones do as well.
 
     The error is predicted for the scene's own spectra whatever the prior: what lies outside the prior is seen, and
@@ -550,7 +551,7 @@ def _fused(scene, facts, response, planes, limit):
     prior = _prior(scene, facts)
     if not np.trace(prior) > 0:
         return None
-    operator = joint_operator(response, prior)
+    operator = keep("operator", (response, prior), lambda: joint_operator(response, prior))
     for rank in operator.ranks:
         error = operator.predicted(rank, own)
         if rank >= planes:
@@ -569,11 +570,16 @@ def _prior(scene, facts):
     """
     if not (facts.content.is_spectral and scene.light_is_known):
         return facts.spectra.values
-    likely = np.vstack([reflectances(name).at(facts.content.wavelengths, outside=None) for name in PRIOR])
+    return _library(tuple(facts.content.wavelengths))
+
+
+@lru_cache(maxsize=4)
+def _library(wavelengths):
+    likely = np.vstack([reflectances(name).at(np.array(wavelengths), outside=None) for name in PRIOR])
     return likely.T @ likely / len(likely)
 
 
-def _guaranteed(scene, facts, response, planes, limit):
+def _guaranteed(scene, facts, response, planes, limit, _):
     """The operator of fewest planes a channel whose bound over all spectra keeps `limit`; None: exact is as cheap."""
     channels = len(response.weights)
     for count in range(1, (planes - 1) // channels + 1):

@@ -156,22 +156,22 @@ def moments(content: Content, weights) -> Moments:
     total, width = content.shape
     count = max(8, SAMPLES // width)
     rows = np.unique(np.linspace(0, max(total - 2, 0), min(count, total)).astype(int))
-    rates = content.entry_spectra @ weights.T  # of a unit of each entry, (entries, C)
+    rates = weights @ content.entry_spectra.T  # of a unit of each entry, (C, entries)
     below = np.minimum(rows + 1, total - 1)
     upper, lower = content.mixed(rates, rows), content.mixed(rates, below)
-    down, across = (lower - upper) ** 2, np.diff(upper, axis=1) ** 2
-    jump_down, jump_across = np.zeros(down.shape[:2], bool), np.zeros(across.shape[:2], bool)
+    down, across = (lower - upper) ** 2, np.diff(upper, axis=2) ** 2
+    jump_down, jump_across = np.zeros(down.shape[1:], bool), np.zeros(across.shape[1:], bool)
     if content.labels is not None:
         jump_down = content.labels[rows] != content.labels[below]
         jump_across = np.diff(content.labels[rows].astype(int), axis=1) != 0
 
     def mean(squares, chosen):
-        return (squares * chosen[..., None]).sum(axis=(0, 1)) / max(chosen.size, 1)
+        return (squares * chosen).sum(axis=(1, 2)) / max(chosen.size, 1)
 
     jumps = mean(down, jump_down) + mean(across, jump_across)
     changes = mean(down, ~jump_down) + mean(across, ~jump_across)
     used = content.used(rows) @ content.entry_spectra
-    return Moments(np.maximum(used, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes)
+    return Moments(np.maximum(used, 0) / upper[0].size, (upper**2).mean(axis=(1, 2)), jumps, changes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,8 @@ class LensTables:
     def sampled(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
         """Transfer tables for the planner, float64."""
         pitch = self.camera.sensor.pixel_pitch / finer
-        return self._kept(f"sampled {rows}x{cols}", (self._lens, q, aperture, finer, displacement), lambda: self.bands(
+        key = self._lens, q, aperture, displacement
+        return self._kept(f"sampled {rows}x{cols} {finer:g}", key, lambda: self.bands(
             q, pitch, aperture, rows, cols, open_device("numpy"), whole=False, displacement=displacement))
 
     def grid(self, samples_per_pixel):

@@ -34,13 +34,13 @@ def close(found, truth):
 def test_spectra_and_sums(content):
     weights = RANDOM.uniform(-1, 1, (3, 7))
     assert content.shape == (5, 6) and content.lit.all()
-    close(content.spectra_at(np.array([1, 4])), np.moveaxis(TRUTH[:, [1, 4]], 0, -1))
+    close(content.bands_at(np.array([1, 4])), TRUTH[:, [1, 4]])
     close(content.mean_spectrum(), TRUTH.mean(axis=(1, 2)))
     window = (slice(1, 4), slice(2, 6))
     close(content.weighted(weights, window), np.tensordot(weights, TRUTH[:, 1:4, 2:6], 1))
     close(content.brightness(weights[0] ** 2), np.tensordot(weights[0] ** 2, TRUTH, 1))
-    rates = content.entry_spectra @ weights.T
-    close(content.mixed(rates, np.array([0, 3])), np.moveaxis(np.tensordot(weights, TRUTH[:, [0, 3]], 1), 0, -1))
+    rates = weights @ content.entry_spectra.T
+    close(content.mixed(rates, np.array([0, 3])), np.tensordot(weights, TRUTH[:, [0, 3]], 1))
     close(content.used(np.array([0, 3])) @ content.entry_spectra, TRUTH[:, [0, 3]].sum(axis=(1, 2)))
 
 
@@ -64,7 +64,7 @@ def test_other_samples_and_other_light(content):
 
 
 def cube(content):
-    return np.moveaxis(content.spectra_at(np.arange(content.shape[0])), -1, 0)
+    return content.bands_at(np.arange(content.shape[0]))
 
 
 def test_what_is_alike(content):
@@ -83,7 +83,7 @@ def test_bad_content(content):
     if content.form != "basis":
         with pytest.raises(BadData, match="negative samples"):
             content.with_planes(-content.planes).check("s")
-    with pytest.raises(BadData, match="zero-size|do not match|must be one"):
+    with pytest.raises(BadData, match=r"zero-size|do not match|must be one"):
         content.with_planes(content.planes[..., :0]).check("s")
 
 
