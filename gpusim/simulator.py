@@ -111,7 +111,9 @@ class Simulator:
     def planned_by(self):
         """What plans depend on beside the scene."""
         sensor, optics = self.camera.sensor, self.camera.optics
-        noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if self.tolerance else ()
+        asked = self.tolerance
+        in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
+        noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
         return (optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa, sensor.stacked,
                 sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
