@@ -40,6 +40,7 @@ from gpusim.planner.psf import psf_tables
 from gpusim.planner.rendering import Rendering, rendering, transforms_of
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.planner.shutter import shutter_weights
+from gpusim.planner.speed import iso_speed
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES, at_pixels, probe_pixels, true_mean
@@ -94,8 +95,8 @@ class Frame:
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
     blur, gains: as of the exposure.
-    linear: linear display RGB before clipping and tone curve, float32 (3, rows, cols). rgb: display codes, uint8 (rows,
-        cols, 3).
+    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
+        rows, cols). rgb: display codes, uint8 (rows, cols, 3).
     """
 
     camera: Camera
@@ -634,6 +635,10 @@ class Simulator:
                   for channel in range(planes.shape[0])]
         return self.device.array(np.stack([self.device.numpy(layer) for layer in layers]))
 
+    def _speed(self, analog_gain):
+        return self._keep("speed", analog_gain, lambda: iso_speed(dataclasses.replace(
+            self.camera.sensor, analog_gain=analog_gain)))
+
     def _report(self, exposure, rendering, ms, seed, number, error, kept):
         made, camera = exposure.plan, exposure.camera
         times = dict(ms) if kept else {**exposure.ms, **ms}
@@ -648,8 +653,9 @@ class Simulator:
         stages = [StageReport(name, models[name], times.get(name, 0.0)) for name in order if name in models]
         scene = made.scene
         form = scene.content.form
-        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for D65, "
-                                                 "saturation is display white"]
+        white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
+        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
+                                                 f"{camera.processor.target}{white}"]
         if error is not None and made.varying is not None:
             notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
         return Report(
@@ -658,7 +664,7 @@ class Simulator:
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
-             "analog_gain": camera.sensor.analog_gain,
+             "analog_gain": camera.sensor.analog_gain, "iso": self._speed(camera.sensor.analog_gain),
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": self.device.name, "kind": self.device.kind}, number, seed, stages, made.predicted, made.left_out,
             error, self.tolerance, notes, made.not_met)
