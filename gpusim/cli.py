@@ -281,8 +281,8 @@ def _add_operation(simulate):
     """Options by which a camera is operated."""
     simulate.add_argument("--exposure", type=_time, metavar="TIME", help="1/60, 0.01 [s], 10ms, 500us, or auto: "
                           "metered (default: the camera's)")
-    simulate.add_argument("--iso", type=_positive("a number above 0", float("inf")), metavar="N", help="saturation-based "
-                          "speed, by the analog gain; from the camera's base speed on (default: the camera's gain)")
+    simulate.add_argument("--iso", type=_positive("a number above 0", float("inf")), metavar="N", help="speed by "
+                          "saturation, by the analog gain; from the base speed on (default: the camera's gain)")
     simulate.add_argument("--f-number", type=_positive("0.1 .. 1000", 1e3), metavar="N", help="such as 2.8 (default: "
                           "the camera's)")
     simulate.add_argument("--focus", type=_positive("metres above 0, or inf", float("inf")), metavar="METRES",
