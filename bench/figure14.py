@@ -57,7 +57,7 @@ def camera(name, cfa, **processor):
     noise = Noise(read=6.7, dsnu=7.05, dark_current=0.05, prnu=2.2e-5)
     sensor = Sensor(2.2e-6, qe, full_well=9000, bits=12, channels=letters, cfa=cfa, fill_factor=0.45, exposure_time=0.1,
                     black_level=64, noise=noise)
-    return Camera(name, Optics(4, 3e-3), sensor, Processor(**processor))
+    return Camera(name, Optics(4, 3e-3), sensor, Processor(scaling="normalised", **processor))
 
 
 def test_scene() -> Scene:

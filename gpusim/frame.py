@@ -65,8 +65,8 @@ class Frame:
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
     blur, gains: as of the exposure.
-    linear: linear display RGB before clipping and tone curve, float32 (3, rows, cols). rgb: display codes, uint8 (rows,
-        cols, 3).
+    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
+        rows, cols). rgb: display codes, uint8 (rows, cols, 3).
     """
 
     camera: Camera

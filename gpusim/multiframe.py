@@ -38,8 +38,9 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
     Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
     or (C, rows, cols) [e-], divided by `exposure_time` a rate, negative where noise made it so; `raw` the same in 16
-    bits up to full_scale; `linear` developed from them, in the frames' own units: display white stays 1, what is
-    brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are too coarse.
+    bits up to full_scale; `linear` developed from them, as bright as the frame of the middle exposure: its display
+    white stays 1, what is brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are
+    too coarse.
     Raises BadData, OutOfRange.
     """
     frames = _checked("merge_bracket", frames, MOST_FRAMES)
@@ -84,7 +85,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the
     mosaic high and wide. reference: the frame that stays where it is.
     Returns a Frame as of n times the exposure time, the sum of n frames without noise correlated among them: `mean`
-    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits.
+    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits; `linear` as bright as the reference.
     Raises BadData, OutOfRange.
     """
     frames = _checked("merge_burst", frames, None)

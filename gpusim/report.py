@@ -99,7 +99,8 @@ class Report:
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
-                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, frame {self.frame}"]
+                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
+                 f"{self.camera['iso']:.4g}, frame {self.frame}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
         lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
         lines += [f"  predicted: {name} {value:.2g}" for name, value in self.predicted.items()]

@@ -232,7 +232,8 @@ _NOISE = {
     "seed": ("seed", _whole),
 }
 _PROCESSOR = {
-    **{key: (key, _text) for key in ("defects", "demosaic", "table", "white_balance", "color", "training", "target")},
+    **{key: (key, _text) for key in ("defects", "demosaic", "table", "white_balance", "color", "training", "target",
+                                     "scaling")},
     "shading": ("shading", _yes_no),
     "denoise": ("denoise", _number()),
     "tone": ("tone", _pairs(None)),

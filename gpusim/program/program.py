@@ -98,7 +98,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, 
               sensor.stacked, camera.sensor.saturation, camera.sensor.gain_dn_per_electron, camera.sensor.white_level,
               camera.sensor.dark_level, sensor.auto_exposure, dataclasses.replace(processor, tone=()), camera.display,
               seconds, readout.pixels)
-    colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels))
+    colored = kept("rendering", colors, lambda: rendering(
+        plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
     return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, ms, device=simulator.device)
 

@@ -1,6 +1,7 @@
 """From an exposure on: frames are drawn, processed and reported; what a change does not touch is kept."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from gpusim.developer import Developer
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.rendering import transforms_of
+from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept
 from gpusim.report import Error, Report, StageReport
 from gpusim.truth import PROBES
@@ -99,6 +101,14 @@ class Shots:
         mean = self.simulator.device.reshape(exposure.mean, (int(np.prod(shape[:-1])), shape[-1]))
         return exposure.layered(self.simulator.readout.mean(mean))
 
+    @property
+    def _speed(self):
+        sensor = self.exposure.camera.sensor
+        curves = sensor.qe, sensor.aperture, sensor.saturation, sensor.gain_dn_per_electron
+        # of the sensor as it is, not as binned
+        own = replace(self.simulator.camera.sensor, analog_gain=sensor.analog_gain)
+        return self.simulator.kept("speed", curves, lambda: iso_speed(own))
+
     def _report(self, rendering, times, wall, seed, number, error):
         exposure, simulator, camera = self.exposure, self.simulator, self.exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
@@ -108,8 +118,9 @@ class Shots:
         order = [*simulator.launched, *(name for name in {**models, **times} if name not in simulator.launched)]
         stages = [StageReport(name, models.get(name, "for the stages below"), times.get(name, 0.0)) for name in order
                   if name in models or name in times]
-        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for D65, "
-                                                 "saturation is display white"]
+        white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
+        notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
+                                                 f"{camera.processor.target}{white}"]
         if error is not None and plan.varying is not None:
             notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
         return Report(
@@ -118,7 +129,7 @@ class Shots:
              "wavelengths_nm": [float(scene.wavelengths[0]), float(scene.wavelengths[-1])],
              "bands": len(scene.wavelengths)},
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
-             "analog_gain": camera.sensor.analog_gain,
+             "analog_gain": camera.sensor.analog_gain, "iso": self._speed,
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": simulator.device.name, "kind": simulator.device.kind}, number, seed, stages, plan.predicted,
             plan.left_out, error, simulator.tolerance, notes, plan.not_met, wall)

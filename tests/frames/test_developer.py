@@ -228,7 +228,8 @@ def test_estimated_white_keeps_the_brightness(color):
     of the light's own white, whose noise is 0.1 %.
     """
     # half a well: where values scatter about the clipping level, leaving out clipped ones would bias the means
-    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color)
+    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color,
+                         scaling="normalised")
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), light="A", reflectance=0.4))
     np.testing.assert_allclose(frame.linear.mean(axis=(1, 2)), 0.4, rtol=5e-3)

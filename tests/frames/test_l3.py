@@ -44,12 +44,13 @@ def rgbw_camera(cfa=("RG", "WB"), **sensor):
     settings = {"full_well": 9000, "bits": 12, "fill_factor": 0.45, "exposure_time": 0.1, "black_level": 64,
                 "noise": Noise(read=6.7, dsnu=7.05)}
     return Camera("rgbw", Optics(4, 3e-3), Sensor(2.2e-6, qe, channels=letters, cfa=cfa, **settings | sensor),
-                  Processor())
+                  Processor(scaling="normalised"))
 
 
 def using(camera, table):
     """The camera with these filters."""
-    return dataclasses.replace(camera, processor=Processor(demosaic="learned", table=table))
+    return dataclasses.replace(camera, processor=Processor(demosaic="learned", table=table,
+                                                                scaling="normalised"))
 
 
 def at_luminance(scene, mean):
