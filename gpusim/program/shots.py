@@ -115,7 +115,12 @@ class Shots:
         shown = f"{camera.display.name}, 8 bit" + (", with a tone curve" if camera.processor.tone else "")
         models = plan.models | simulator.readout.models() | self.developer.models() | {
             "processor.color": rendering.model, "display.encode": shown}
-        order = [*simulator.launched, *(name for name in {**models, **times} if name not in simulator.launched)]
+        order = list(dict.fromkeys([*simulator.launched, *times]))
+        place = 0
+        for name in models:  # what had nothing to do comes after what it would have followed
+            if name not in order:
+                order.insert(place, name)
+            place = order.index(name) + 1
         stages = [StageReport(name, models.get(name, "for the stages below"), times.get(name, 0.0)) for name in order
                   if name in models or name in times]
         white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
