@@ -78,7 +78,7 @@ def right_and_wrong(qe):
 
 def estimates(camera, device, photos):
     """Every estimate, in every light, from a chart, from overlapping discs of surfaces and from photographs."""
-    from gpusim.scheduler import Simulator  # the other tables need no device
+    from gpusim.simulator import Simulator  # the other tables need no device
 
     sensor = camera.sensor
     transforms = transform_set(sensor.qe, camera.processor.training, channels=sensor.channels)

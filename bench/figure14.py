@@ -25,15 +25,16 @@ from gpusim.data.curves import curve
 from gpusim.data.reflectances import reflectances
 from gpusim.data.srgb import srgb_to_xyz
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Materials
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.scenes import mean_luminance
 from gpusim.l3.train import train, wanted_colors
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 CAMERAS = {"RGB Bayer": ("RG", "GB"), "RGBW": ("RG", "WB"), "RGBN": ("RG", "NB")}
 LUMINANCES = (1.0, 40.0)  # [cd m-2], mean over the frame
@@ -56,7 +57,7 @@ def camera(name, cfa, **processor):
     noise = Noise(read=6.7, dsnu=7.05, dark_current=0.05, prnu=2.2e-5)
     sensor = Sensor(2.2e-6, qe, full_well=9000, bits=12, channels=letters, cfa=cfa, fill_factor=0.45, exposure_time=0.1,
                     black_level=64, noise=noise)
-    return Camera(name, Optics(4, 3e-3), sensor, Processor(**processor))
+    return Camera(name, Optics(4, 3e-3), sensor, Processor(scaling="normalised", **processor))
 
 
 def test_scene() -> Scene:

@@ -36,7 +36,8 @@ def camera_at(defocus):
     """The figure's camera without noise and converter, its sensor `defocus` [m] behind the focus."""
     camera = open_camera("figure8")
     return replace(camera, sensor=replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(photon="none")),
-                   optics=replace(camera.optics, defocus=defocus, relative_illumination="none"))
+                   optics=replace(camera.optics, defocus=defocus, relative_illumination="none"),
+                   processor=replace(camera.processor, scaling="normalised"))
 
 
 def picture(defocus, device="auto"):

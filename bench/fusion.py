@@ -16,11 +16,11 @@ import scipy.fft
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
-from gpusim.domain.scene import Cube
+from gpusim.domain.content import Cube
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.planner.plan import BORDER_REACH
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 
 def naive(values, tables, weights, period, cfa, workers=2):
@@ -110,7 +110,7 @@ def _of_rank(camera, device, scene, rank):
 
 
 def _mosaic(simulator, plan):
-    rates, _ = simulator._rates(plan)
+    rates, _ = simulator.imaging.rates(plan)
     return simulator.device.numpy(rates)[0]
 
 

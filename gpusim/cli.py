@@ -3,12 +3,16 @@
 import argparse
 import dataclasses
 import json
+import re
 import sys
 from pathlib import Path
 
 from gpusim import __version__
-from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName, one_line
+from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
+
+TIME = re.compile(r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+)(?:/(\d+\.?\d*))? ?(s|ms|us)?", re.ASCII)
+PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -33,11 +37,11 @@ def _simulate(arguments):
     from gpusim.io.atomic import atomic_path
     from gpusim.io.frames import check_format
     from gpusim.io.scenes import open_scene
-    from gpusim.scheduler import Simulator
+    from gpusim.simulator import Simulator
 
     outputs = [_numbered(path, arguments.frames) for path in arguments.out]
     _check_outputs(outputs, arguments)  # said before the work, not after it
-    camera = open_camera(arguments.camera)
+    camera = _operated(open_camera(arguments.camera), arguments)
     bands = dict(_named(text) for text in arguments.band)
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
                        bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
@@ -66,6 +70,27 @@ def _simulate(arguments):
             plain = [report.as_dict() for report in reports]
             temporary.write_text(json.dumps(plain[0] if arguments.frames == 1 else plain, indent=2) + "\n")
     return 1 if any(report.meets_tolerance is False for report in reports) else 0
+
+
+def _operated(camera, arguments):
+    """The camera with what the command line says of it: exposure, speed, lens and display scaling."""
+    optics, sensor, processor = camera.optics, camera.sensor, camera.processor
+    if arguments.exposure is not None:
+        sensor = dataclasses.replace(sensor, exposure_time=None if arguments.exposure == "auto" else arguments.exposure)
+    if arguments.iso is not None:
+        from gpusim.planner.speed import gain_for_speed
+
+        # the speed that was asked for: automatic exposure raises no gain on its own
+        sensor = dataclasses.replace(sensor, analog_gain=gain_for_speed(sensor, arguments.iso),
+                                     auto_exposure=dataclasses.replace(sensor.auto_exposure, most_gain=1.0))
+    lens = {"f_number": arguments.f_number, "object_distance": arguments.focus}
+    lens = {key: value for key, value in lens.items() if value is not None}
+    if lens and optics.psf is not None:
+        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
+                      "neither, or a camera without [optics] psf")
+    if arguments.scaling is not None:
+        processor = dataclasses.replace(processor, scaling=arguments.scaling)
+    return dataclasses.replace(camera, optics=dataclasses.replace(optics, **lens), sensor=sensor, processor=processor)
 
 
 def _numbered(path, count):
@@ -227,6 +252,45 @@ def _whole(low, high):
     return read
 
 
+def _time(text):
+    from gpusim.domain.exposure import LONGEST
+
+    if text == "auto":
+        return text
+    match = TIME.fullmatch(text)
+    time = float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]] if match and float(match[2] or 1) else 0.0
+    if not 0 < time <= LONGEST:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0 and up "
+                                         f"to {LONGEST:g} s, or auto")
+    return time
+
+
+def _positive(wanted, most):
+    def read(text):
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not 0 < value <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}: wanted {wanted}")
+        return value
+    return read
+
+
+def _add_operation(simulate):
+    """Options by which a camera is operated."""
+    simulate.add_argument("--exposure", type=_time, metavar="TIME", help="1/60, 0.01 [s], 10ms, 500us, or auto: "
+                          "metered (default: the camera's)")
+    simulate.add_argument("--iso", type=_positive("a number above 0", float("inf")), metavar="N", help="speed by "
+                          "saturation, by the analog gain; from the base speed on (default: the camera's gain)")
+    simulate.add_argument("--f-number", type=_positive("0.1 .. 1000", 1e3), metavar="N", help="such as 2.8 (default: "
+                          "the camera's)")
+    simulate.add_argument("--focus", type=_positive("metres above 0, or inf", float("inf")), metavar="METRES",
+                          help="distance of the plane in focus, or inf (default: the camera's)")
+    simulate.add_argument("--scaling", choices=("exposure", "normalised"), help="of the picture: by exposure longer is "
+                          "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
+
+
 class _OneLineParser(argparse.ArgumentParser):
     """Wrong arguments are said in one line, as every other mistake is."""
 
@@ -263,6 +327,7 @@ def _parser():
     simulate.add_argument("--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)")
     simulate.add_argument("--luminance", type=float, metavar="CD_M2", help="of white in the scene's light")
     simulate.add_argument("--border", choices=("zero", "edge", "reflect"), help="the world outside the frame")
+    _add_operation(simulate)
     simulate.add_argument("--band", action="append", default=[], metavar="NAME=NM",
                           help="wavelength of an .exr channel that is not named by it; may be repeated")
     simulate.set_defaults(run=_simulate)

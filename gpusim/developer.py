@@ -1,12 +1,12 @@
 """A camera's image processor on a device: from digital numbers to a picture."""
 
 from dataclasses import dataclass, replace
-from math import hypot
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
@@ -51,7 +51,7 @@ class _Numbers:
 class Developer:
     """The image processor of a camera on a device.
 
-    camera: as operated (see `gpusim.scheduler.Exposure`). averaged: raw values whose mean each of its values is
+    camera: as operated (see `gpusim.simulator.Exposure`). averaged: raw values whose mean each of its values is
     (digital binning). transforms: function that gives colour transforms of a set of lights; by default, the camera's.
     """
 
@@ -64,15 +64,10 @@ class Developer:
     def noise(self) -> tuple[float, float]:
         """(gain [DN/e-], noise without light [DN]) of raw values: their variance is gain (DN - dark level) + noise^2.
 
-        Without light: read, row, column and dark-signal noise, as if they were of every pixel alone, and rounding. PRNU
-        is left out.
+        Without light: all that `RawNoise.variance` adds, fixed offsets too. PRNU is left out.
         """
-        sensor, noise = self.camera.sensor, self.camera.sensor.noise
-        gain = sensor.gain_dn_per_electron
-        rounding = 0.0 if sensor.bits == FLOAT_BITS else 12**-0.5
-        dark = hypot(gain * hypot(sensor.read_sigma, noise.row, noise.column, noise.dsnu, noise.row_dsnu,
-                                  noise.column_dsnu), rounding)
-        return (0.0 if noise.photon == "none" else gain) / self.averaged, dark / self.averaged**0.5
+        noise, gain = RawNoise.of(self.camera.sensor, self.averaged), self.camera.sensor.gain_dn_per_electron
+        return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
     def demosaicked(self, raw, *, white=None, known=None, gains=None, blur: float = 0.0):
         """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.
@@ -88,14 +83,14 @@ class Developer:
             count = len(sensor.channels)
             size = raw.shape[0] // count
             layers = [slice(layer * size, (layer + 1) * size) for layer in range(count)]
-            values, flags = device.numpy(raw), None if known is None else device.numpy(known)
-            planes = []
+            stack = device.reshape(raw, (count, size, raw.shape[1]))
+            flags, planes = None if known is None else device.numpy(known), []
             for layer, rows in enumerate(layers):
-                one = device.array(np.ascontiguousarray(values[rows]), values.dtype.type)
-                one, numbers = self._corrected(one, np.zeros((1, 1), np.int32), None if flags is None else flags[rows],
+                one, numbers = self._corrected(device.part(stack, layer), np.zeros((1, 1), np.int32),
+                                               None if flags is None else flags[rows],
                                                None if gains is None else gains[layer : layer + 1])
-                planes.append(device.numpy(linear(one, black_level=numbers.black, scale=numbers.scale, device=device)))
-            return device.array(np.concatenate(planes))
+                planes.append(linear(one, black_level=numbers.black, scale=numbers.scale, device=device))
+            return device.reshape(device.stack(planes), (count, size, raw.shape[1]))
         raw, numbers = self._corrected(raw, sensor.cfa_indices, known, gains)
         options = {"black_level": numbers.black, "scale": numbers.scale, "device": device}
         if sensor.is_monochrome:
@@ -152,7 +147,7 @@ class Developer:
         return raw, numbers
 
     def in_one_pass(self, raw, rendering: Rendering):
-        """Display codes (rows, cols, 3) of raw values, the same as by `shown`; None where that takes several passes."""
+        """Display codes (rows, cols, 3) of raw values, as by `encoded`; None where that takes several passes."""
         sensor, processor = self.camera.sensor, self.camera.processor
         if (processor.demosaic != "bilinear" or not sensor.bayer_phase or sensor.stacked or sensor.bits == FLOAT_BITS
                 or processor.defects != "none" or processor.denoise or processor.shading or processor.estimates_white):
@@ -171,11 +166,14 @@ class Developer:
         small = self.device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=self.device))
         return rebalanced(once, self.camera, self._transforms() if wanted else None, small, self.noise[1] * scale)
 
-    def shown(self, planes, rendering: Rendering):
-        """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3)."""
-        linear_rgb = color(planes, self.device.array(rendering.display_from_camera), ceiling=rendering.ceiling,
-                           device=self.device)
-        return linear_rgb, encode(linear_rgb, self._thresholds, device=self.device)
+    def colored(self, planes, rendering: Rendering):
+        """Linear display RGB (3, rows, cols), before the tone curve."""
+        return color(planes, self.device.array(rendering.display_from_camera), ceiling=rendering.ceiling,
+                     device=self.device)
+
+    def encoded(self, linear_rgb):
+        """Display codes (rows, cols, 3) of linear display RGB."""
+        return encode(linear_rgb, self._thresholds, device=self.device)
 
     def models(self) -> dict[str, str]:
         """Stage -> what it does, in the order of their use."""

@@ -8,8 +8,9 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 FIRST_STEP = 4.0  # [pixel] of circle of confusion between the first positions
 WAVELENGTH = 550.0  # [nm] at which the depth of focus is counted
@@ -135,16 +136,14 @@ def _checked_region(region, shape, period):
 def _contrast(raw, sensor, period, exposure_time, averaged):
     """Mean squared difference of neighbours of one colour over the squared mean, and its standard error.
 
-    What the sensor's noise is known to add, twice its variance, is taken away: it grows as the trials get darker.
-    averaged: pixels whose digital numbers are one's.
+    What the sensor's noise is known to add is taken away: it grows as the trials get darker.
+    raw: digital numbers above the dark level [DN]. averaged: pixels whose digital numbers are one's.
     """
     level, gain = raw.mean(), sensor.gain_dn_per_electron
     if not level > 0:
         return 0.0, 0.0
-    noise = sensor.noise
-    electrons = noise.dark_current * noise.warmth * exposure_time + (level / gain if noise.photon != "none" else 0.0)
-    variance = electrons + sensor.read_sigma**2 + noise.dsnu**2 + (noise.prnu * level / gain) ** 2
-    noise = 2 * gain**2 * variance / averaged + 1 / 6  # 1/12 of the converter's step each
+    dark = sensor.noise.dark_current * sensor.noise.warmth * exposure_time  # a part of the level's electrons
+    noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
     squares = np.concatenate([((raw[step:] - raw[:-step]) ** 2).ravel() if axis == 0 else
                               ((raw[:, step:] - raw[:, :-step]) ** 2).ravel() for axis, step in enumerate(period)])
     return float((squares.mean() - noise) / level**2), float(squares.std() / np.sqrt(squares.size) / level**2)

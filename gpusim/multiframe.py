@@ -6,15 +6,18 @@ import numpy as np
 
 from gpusim.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.raw_noise import ROUNDING, RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.frame import Frame
 from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
-from gpusim.measure.merge import MARGIN, ROUNDING
+from gpusim.measure.merge import MARGIN
+from gpusim.program.shots import HOT
 from gpusim.report import StageReport
-from gpusim.scheduler import HOT, Frame, Simulator
+from gpusim.simulator import Simulator
 
 PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value in merged raw values
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them
@@ -35,15 +38,16 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
     Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
     or (C, rows, cols) [e-], divided by `exposure_time` a rate, negative where noise made it so; `raw` the same in 16
-    bits up to full_scale; `linear` developed from them, in the frames' own units: display white stays 1, what is
-    brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are too coarse.
+    bits up to full_scale; `linear` developed from them, as bright as the frame of the middle exposure: its display
+    white stays 1, what is brighter goes beyond. Dark parts are developed from a scale 256 times finer where 16 bits are
+    too coarse.
     Raises BadData, OutOfRange.
     """
     frames = _checked("merge_bracket", frames, MOST_FRAMES)
     if simulator.readout.averaged > 1:
         raise BadData("merge_bracket: digital binning hides full pixels in means; wanted sensor.binning_mode = "
                       '"charge", or no binning')
-    tables = _tables(simulator, frames)
+    tables = _tables(frames)
     order = np.argsort(-(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable")
     frames, tables = [frames[i] for i in order], {key: values[order] for key, values in tables.items()}
     times, sensor = tables["time"], frames[0].camera.sensor
@@ -81,7 +85,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the
     mosaic high and wide. reference: the frame that stays where it is.
     Returns a Frame as of n times the exposure time, the sum of n frames without noise correlated among them: `mean`
-    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits.
+    the electrons so collected, float32 (rows, cols) [e-]; `raw` in 16 bits; `linear` as bright as the reference.
     Raises BadData, OutOfRange.
     """
     frames = _checked("merge_burst", frames, None)
@@ -104,7 +108,7 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     dark = sensor.noise.dark_current * sensor.noise.warmth * times[0]
     electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain) - np.float32(count * dark)
     full = (sensor.white_level - sensor.dark_level) / gain
-    dark_noise = float(np.sqrt(count * (np.square(noise[1] / gain) + _photons(sensor) * dark)))
+    dark_noise = float(np.sqrt(count * RawNoise.of(sensor, simulator.readout.averaged).variance(dark)))
     return _developed(simulator, frames[int(reference)], electrons, exposure_time=count * times[0], full=count * full,
                       saturated=sensor.saturation / full, ratio=1 / count, dark_noise=dark_noise,
                       defects=_defects(simulator, frames), ms=ms,
@@ -131,7 +135,9 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
         linear = with_flash(ambient.linear, flash.linear, ambient_noise=ambient_noise, flash_noise=flash_noise,
                             full=full if full > 0 else np.inf, radius=radius, reach=reach, device=simulator.device)
     as_is = dataclasses.replace(ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf))
-    shown = Developer(ambient.camera, simulator.device).shown(simulator.device.array(linear), as_is)
+    developer = Developer(ambient.camera, simulator.device)
+    shown = developer.colored(simulator.device.array(linear), as_is)
+    shown = shown, developer.encoded(shown)
     linear, rgb = (np.array(simulator.device.numpy(array)) for array in shown)
     *stages, encoding = ambient.report.stages
     by_flash = StageReport("processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0))
@@ -167,21 +173,14 @@ def _checked(function, frames, most):
     return frames
 
 
-def _photons(sensor):
-    """Variance of a mean electron's number [e-]."""
-    return float(sensor.noise.photon != "none")
-
-
-def _tables(simulator, frames):
+def _tables(frames):
     """What `processor.merge` wants to know of each frame."""
     rows = []
     for frame in frames:
-        sensor, time = frame.camera.sensor, frame.exposure_time
+        sensor, time, noise = frame.camera.sensor, frame.exposure_time, RawNoise.of(frame.camera.sensor)
         gain, dark = sensor.gain_dn_per_electron, sensor.noise.dark_current * sensor.noise.warmth * time
-        read = Developer(frame.camera, simulator.device).noise[1] / gain
-        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * read)
-        rows.append((sensor.dark_level + gain * dark, gain, time, read**2 + _photons(sensor) * dark,
-                     min(full, sensor.white_level)))
+        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
+        rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), min(full, sensor.white_level)))
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
@@ -252,7 +251,8 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         once = frame.rendering
         shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
                                        ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
-        shown = developer.shown(planes, shown_by)
+        shown = developer.colored(planes, shown_by)
+        shown = shown, developer.encoded(shown)
     linear, rgb = (np.array(device.numpy(array)) for array in shown)
     first = {}
     if defects != "none":
@@ -280,9 +280,11 @@ def _bright(electrons, limit):
 
 
 def _display_noise(frame, averaged=1):
-    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`."""
+    """Noise of linear display values as `processor.flash` takes it, (3, 4); averaged: as for `Developer`.
+
+    Both pictures have the chip's fixed offsets, which make no pixels unlike: the noise is that from frame to frame.
+    """
     sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
-    chip, scale = sensor.noise, sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
-    read = sensor.read_sigma**2 + chip.row**2 + chip.column**2 + ROUNDING / sensor.gain_dn_per_electron**2
-    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * _photons(sensor)
-    return np.column_stack([per_light, scale**2 * read * (matrix**2).sum(axis=1)]) / averaged
+    noise, scale = RawNoise.of(sensor, averaged), sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
+    per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged
+    return np.column_stack([per_light, scale**2 * noise.variance(temporal=True) * (matrix**2).sum(axis=1)])

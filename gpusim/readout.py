@@ -16,6 +16,7 @@ from gpusim.kernels.sensor.expect import expect
 from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
+from gpusim.program.kept import Kept
 
 RESET = 2**30  # number of the read whose random numbers the reset has
 BATCH = 2**26  # [pixel] of frames that are drawn at once
@@ -25,10 +26,10 @@ class Readout:
     """One chip of a sensor on a device (or the name of one).
 
     sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
-    output pixel's; averaged: whose digital numbers' mean it is.
+    output pixel's; averaged: whose digital numbers' mean it is. kept: where fixed patterns are kept.
     """
 
-    def __init__(self, sensor: Sensor, device: Device | str = "auto"):
+    def __init__(self, sensor: Sensor, device: Device | str = "auto", kept: Kept | None = None):
         self.sensor, self.device = sensor, open_device(device) if isinstance(device, str) else device
         self.stride, mosaic = binned(sensor.cfa_indices, sensor.binning)
         charge = sensor.binning_mode == "charge"
@@ -39,10 +40,14 @@ class Readout:
             noise=dataclasses.replace(sensor.noise, dark_current=sensor.noise.dark_current * self.pixels))
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
-        self._patterns: dict = {}
+        self._kept = Kept() if kept is None else kept
 
-    def __getstate__(self):
-        return self.__dict__ | {"_patterns": {}}  # arrays of the device, made anew
+    @property
+    def chip(self):
+        """What the expected electrons of a mean depend on."""
+        chip = self.sensor.noise
+        return (self.sensor.binning, self.sensor.binning_mode, chip.prnu, chip.row_prnu, chip.column_prnu,
+                chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth, chip.seed)
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`."""
@@ -243,10 +248,9 @@ class Readout:
 
     def _pattern(self, plane, rows, cols, **parts):
         """A fixed pattern, kept from its first use."""
-        key = plane, rows, cols
-        if key not in self._patterns:
-            self._patterns[key] = pattern(rows, cols, plane, seed=self.sensor.noise.seed, device=self.device, **parts)
-        return self._patterns[key]
+        seed = self.sensor.noise.seed
+        return self._kept(f"pattern of {plane}", (rows, cols, seed, *parts.values()), lambda: pattern(
+            rows, cols, plane, seed=seed, device=self.device, **parts))
 
 
 def checked_electrons(mean, layers: int | None) -> np.ndarray:

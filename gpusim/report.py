@@ -59,6 +59,7 @@ class Report:
     scene, camera, device: what was simulated where. stages: in the order the light goes. predicted: named error bounds
     of the plan. left_out: what was not modelled. error: the true error where it was asked for, and whether it meets
     the tolerance. not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
+    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included.
     """
 
     scene: dict
@@ -73,6 +74,7 @@ class Report:
     tolerance: Tolerance | None = None
     notes: list[str] = field(default_factory=list)
     not_met: str = ""
+    wall_ms: float = 0.0
 
     @property
     def ms(self) -> float:
@@ -97,9 +99,10 @@ class Report:
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
-                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, frame {self.frame}"]
+                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
+                 f"{self.camera['iso']:.4g}, frame {self.frame}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
-        lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms")
+        lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
         lines += [f"  predicted: {name} {value:.2g}" for name, value in self.predicted.items()]
         if self.error:
             error = self.error

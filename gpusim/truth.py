@@ -55,17 +55,18 @@ def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
     """
     reference = _reference(simulator, camera, scene, made)
     own = reference.plan(scene)
-    rates, cfa = reference._rates(own)
+    rates, cfa = reference.imaging.rates(own)
     border, tail = rule_of(scene.border), tail_of(camera.optics)
     if own.gains is not None and border != "reflect" and tail:
-        light = np.tensordot(own.weights / own.flat * own.q, reference.light(own), 1)  # of each channel, times q
+        light = reference.imaging.light(own)
+        light = np.tensordot(own.weights / own.flat * own.q, light, 1)  # of each channel, times q
         rows, cols = (np.arange(scene.margin - own.spare, n - scene.margin + own.spare) for n in light.shape[1:])
         around = min(length - n for length, n in zip(own.period, light.shape[1:], strict=True)) / 2
         cell = max(around / CELLS, 1)
         far = np.stack([at_samples(unseen(one, own.period, border, cell, tail, times=(3, 5, 7)), one.shape, own.period,
                                    rows, cols) for one in light])
-        rates = rates + reference._pixels(own, far)
-    return reference._expose(own, (rates, cfa), exposure_time)
+        rates = rates + reference.imaging.pixels(own, far)
+    return reference.imaging.exposed(own, (rates, cfa), exposure_time)
 
 
 def _reference(simulator, camera, scene, made):

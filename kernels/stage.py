@@ -12,6 +12,7 @@ They are found by file name; there is no registry. Discontinuous stages state ho
 """
 
 import functools
+import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -66,24 +67,47 @@ class Case:
 def stage(function: Callable) -> Callable:
     """Make `function(device, ...)` in `kernels/area/name.py` the public function of stage `area.name`.
 
-    The public form is called as `name(..., device="auto")`. On the NumPy device it is the reference. Otherwise arrays
-    may be NumPy arrays or arrays of that device; the result is NumPy when every array given was.
+    The public form is called as `name(..., device="auto")`, and its signature says so. On the NumPy device it is the
+    reference. Otherwise arrays may be NumPy arrays or arrays of that device; the result is NumPy when every array given
+    was. Other arguments than the signature's raise TypeError, which names the stage.
     """
     name = function.__module__.removeprefix("gpusim.kernels.")
     reference = _reference_of(function.__module__, function.__name__)
+    signature = _public_signature(function)
 
     @functools.wraps(function)
     def public(*args, device: Device | str = "auto", **kwargs):
         device = open_device(device) if isinstance(device, str) else device
-        if device.kind == "numpy":
-            with device.charged(name), device.host_work():
-                return reference()(*args, **kwargs)
-        with device.charged(name):
-            result = function(device, *args, **kwargs)
+        try:
+            if device.kind == "numpy":
+                with device.charged(name), device.host_work():
+                    return reference()(*args, **kwargs)
+            with device.charged(name):
+                result = function(device, *args, **kwargs)
+        except TypeError:  # checked only then: binding takes as long as a small kernel's launch
+            _require_arguments(name, signature, args, kwargs)
+            raise
         on_device = any(isinstance(value, device.array_type) for value in (*args, *kwargs.values()))
         return result if on_device else device.numpy(result).copy()
 
+    vars(public)["__signature__"] = signature
     return public
+
+
+def _public_signature(function):
+    """The signature of `function` with its first parameter, the device, as the last one by keyword."""
+    inner = inspect.signature(function)
+    parameters = [*list(inner.parameters.values())[1:], inspect.Parameter(
+        "device", inspect.Parameter.KEYWORD_ONLY, default="auto", annotation=Device | str)]
+    return inner.replace(parameters=sorted(parameters, key=lambda parameter: parameter.kind))  # **kwargs stay last
+
+
+def _require_arguments(name, signature, args, kwargs):
+    """Refuse arguments that do not fit the stage's signature. Raises TypeError."""
+    try:
+        signature.bind(*args, **kwargs)
+    except TypeError as wrong:
+        raise TypeError(f"{name}: {wrong}; wanted {name.rpartition('.')[2]}{signature}") from None
 
 
 def _reference_of(module, name):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gpusim.domain.scene import Basis, Cube
+from gpusim.domain.content import Basis, Cube
 from gpusim.kernels.optics.airy import airy
 
 BEYOND = 64  # [pixel] that the edge pixels go on

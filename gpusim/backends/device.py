@@ -71,6 +71,14 @@ class Device:
         """Wait, then the values as NumPy: a view where `on_host`, else a copy."""
         return np.asarray(array)
 
+    def stack(self, arrays):
+        """Copies of arrays of this device, all of one shape and type, as one array: its first axis counts them."""
+        return np.stack(arrays)
+
+    def part(self, array, index: int):
+        """A copy of `array[index]`, on the device."""
+        return np.array(array[index])
+
     def launch(self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None):
         """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).
 
@@ -84,9 +92,14 @@ class Device:
 
     @contextmanager
     def timed(self):
-        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block."""
+        """Collect milliseconds per stage: `with device.timed() as ms: ...`, `ms` is complete after the block.
+
+        What is timed inside belongs to blocks around it, too.
+        """
         self.sync()
         clock = self._clock
+        if clock.times is not None:
+            self._collect(clock)  # what was launched before is the outer block's
         clock.times, outer = defaultdict(float), clock.times
         times = clock.times
         try:
@@ -95,6 +108,8 @@ class Device:
             self._collect(clock)
         finally:
             clock.times = outer
+            for stage, spent in times.items() if outer is not None else ():
+                outer[stage] += spent
 
     def _collect(self, clock):
         """Add the device's own event times to `clock.times`."""
@@ -104,6 +119,8 @@ class Device:
         """Count what is launched inside the block as the time of `stage`, whatever file the kernels are in."""
         clock = self._clock
         outer, clock.charged = clock.charged, stage
+        if clock.times is not None:
+            clock.times[stage] += 0.0  # in the order of their calls, whenever their times are known
         try:
             yield
         finally:
@@ -125,7 +142,7 @@ class _Forked(Device):
     def _refuse(self, *_, **__):
         refuse_fork(self.name)
 
-    array = empty = reshape = numpy = launch = sync = _refuse  # type: ignore[assignment]
+    array = empty = reshape = numpy = stack = part = launch = sync = _refuse  # type: ignore[assignment]
 
 
 _in_use: weakref.WeakSet[Device] = weakref.WeakSet()

@@ -123,6 +123,26 @@ class OpenCLDevice(Device):
             self._cl.enqueue_copy(self.queue, out, array.buffer)
         return out
 
+    def stack(self, arrays):
+        result = self.empty((len(arrays), *arrays[0].shape), arrays[0].dtype)
+        for number, array in enumerate(arrays):
+            self._copy(result, array, array.nbytes, to=number * array.nbytes)
+        return result
+
+    def part(self, array, index):
+        result = self.empty(array.shape[1:], array.dtype)
+        self._copy(result, array, result.nbytes, start=index * result.nbytes)
+        return result
+
+    def _copy(self, target, source, count, start=0, to=0):
+        """Copy `count` bytes between arrays in turn with what is launched."""
+        clock = self._clock
+        event = self._cl.enqueue_copy(self.queue, target.buffer, source.buffer, byte_count=count, src_offset=start,
+                                      dst_offset=to)
+        if clock.times is not None:
+            clock.events.append((clock.charged or "copies", event))
+        self._in_flight.append((target, source))
+
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
         clock, values = self._clock, [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started

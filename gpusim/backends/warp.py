@@ -80,6 +80,17 @@ class WarpDevice(Device):
     def numpy(self, array):
         return array if isinstance(array, np.ndarray) else array.numpy()
 
+    def stack(self, arrays):
+        result = self._wp.empty((len(arrays), *arrays[0].shape), dtype=arrays[0].dtype, device=self.wp_device)
+        for number, array in enumerate(arrays):
+            self._wp.copy(result, array, dest_offset=number * array.size, count=array.size)
+        return result
+
+    def part(self, array, index):
+        result = self._wp.empty(array.shape[1:], dtype=array.dtype, device=self.wp_device)
+        self._wp.copy(result, array, src_offset=index * result.size, count=result.size)
+        return result
+
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
         options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
         clock = self._clock

@@ -8,9 +8,10 @@ import numpy as np
 
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.content import Materials
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.memory import require_memory
-from gpusim.domain.scene import Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)

@@ -7,9 +7,10 @@ import numpy as np
 from gpusim.data.colorimetry import tables, xyz
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.content import Basis
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.domain.scene import Basis, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
 

@@ -8,6 +8,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 
 METHODS = ("full", "mean", "percentile", "centre")
 LONGEST = 1e12  # [s]
+MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
 CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
 
 
@@ -70,6 +71,18 @@ class AutoExposure:
         if self.most_gain > 1 and self.longest is None:
             raise BadData(f"auto_exposure.most_gain = {self.most_gain:.6g} without longest: the gain rises where the "
                           "longest exposure time is too short; wanted both")
+
+    @property
+    def white(self) -> float:
+        """Where this metering puts a perfect white diffuser, or the brightest surface, over saturation [1], at most 1.
+
+        A camera's picture has display white there, so that what it meters looks as it should at its own exposure and
+        too dark or too bright at another. "full" and "percentile" bring a bright pixel to `level` and take it for
+        white: level. "mean" and "centre" bring an average to it and take that for MIDDLE_GREY, the mean reflectance of
+        scenes: white, of reflectance 1, is then at level / MIDDLE_GREY, or beyond saturation. An average is over all
+        colours of the mosaic, so that the strongest, whose value counts, makes grey a little brighter than that.
+        """
+        return self.level if self.method in ("full", "percentile") else min(self.level / MIDDLE_GREY, 1.0)
 
     def signal(self, electron_rate) -> float:
         """What is brought to the level [e- s-1], of electrons per second and pixel, shape (..., rows, cols)."""

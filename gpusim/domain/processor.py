@@ -10,6 +10,7 @@ from gpusim.domain.learned import FilterTable
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
 WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "none")
+SCALINGS = ("exposure", "normalised")
 COLORS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal", "none")
 BRIGHTEST = 1e3  # of a tone curve's nodes, encoded
 
@@ -32,9 +33,12 @@ class Processor:
         go to the display as they are).
     training: name of the reflectance set that the transform is trained on.
     target: the light in which the picture shows the scene's surfaces.
+    scaling: what is display white: "exposure" (where the camera's automatic exposure puts white, `AutoExposure.white`:
+        longer is brighter and clips) or "normalised" (a perfect white diffuser, whatever the exposure; saturation,
+        where the scene's light is not known).
     tone: the tone curve, (x, y) of two or more nodes, both increasing: x a linear value (white = 1) encoded as sRGB,
         y what is shown, encoded likewise, from 0 to 1; between the nodes a monotone cubic. () for none.
-    Where its light is known and used, a perfect diffuser renders as display white, before the tone curve.
+    Both are before the tone curve. Where the scene's light is known and used, or estimated, white surfaces are neutral.
     Raises UnknownName, OutOfRange, BadData.
     """
 
@@ -47,11 +51,12 @@ class Processor:
     color: str = "white-preserving"
     training: str = "objects"
     target: str = "D65"
+    scaling: str = "exposure"
     tone: tuple = ()
 
     def __post_init__(self):
         for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
-                           ("color", COLORS)):
+                           ("color", COLORS), ("scaling", SCALINGS)):
             if getattr(self, key) not in known:
                 raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
         check_range("processor", self, "shading", "True or False", lambda value: isinstance(value, bool))

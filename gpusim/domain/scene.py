@@ -4,44 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum
 
 BORDERS = ("zero", "edge", "reflect", "scene")
-NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
-
-
-@dataclass(frozen=True, eq=False)
-class Cube:
-    """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm]."""
-
-    wavelengths: np.ndarray
-    values: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """A linear model: pixel spectrum = sum_k coefficients[k] basis[k].
-
-    coefficients (K, rows, cols) float32; basis (K, L) at wavelengths (L,) [nm].
-    """
-
-    wavelengths: np.ndarray
-    coefficients: np.ndarray
-    basis: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Materials:
-    """One material per pixel: pixel spectrum = shading * spectra[ids].
-
-    ids (rows, cols) uint8 or uint16; shading (rows, cols) float32; spectra (M, L) at wavelengths (L,) [nm].
-    """
-
-    wavelengths: np.ndarray
-    ids: np.ndarray
-    shading: np.ndarray
-    spectra: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +19,7 @@ class Layer:
     covers, 0 .. 1, shape (rows, cols). depth: its distance [m], one number or shape (rows, cols).
     """
 
-    content: Cube | Basis | Materials
+    content: Content
     alpha: np.ndarray
     depth: np.ndarray | float
 
@@ -75,7 +42,7 @@ class Scene:
     Raises BadData, OutOfRange, UnknownName.
     """
 
-    content: Cube | Basis | Materials
+    content: Content
     illuminant: Spectrum
     border: str = "edge"
     margin: int = 0
@@ -86,7 +53,9 @@ class Scene:
     layers: tuple[Layer, ...] = ()
 
     def __post_init__(self):
-        _check_content(self.content, self.name)
+        if not isinstance(self.content, Content):
+            raise BadData(f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis or Materials")
+        self.content.check(self.name)
         if self.border not in BORDERS:
             raise UnknownName("border", self.border, BORDERS)
         if self.fov is not None and not 0 < self.fov < np.pi:
@@ -94,7 +63,7 @@ class Scene:
         if self.margin < 0 or (self.margin > 0) != (self.border == "scene"):
             raise OutOfRange("scene.margin", self.margin, 'margin >= 1 with border = "scene", 0 otherwise')
         if min(self.samples) < 1:
-            raise BadData(f"{self.name}: nothing left of the {self._full_shape()} samples inside margin {self.margin}")
+            raise BadData(f"{self.name}: nothing left of the {self.content.shape} samples inside margin {self.margin}")
         if not 1 <= self.samples_per_pixel <= min(self.samples):  # NaN is refused as well
             rows, cols = self.samples
             raise OutOfRange("scene.samples_per_pixel", self.samples_per_pixel,
@@ -102,8 +71,8 @@ class Scene:
         if (self.illuminant.values < 0).any():
             raise BadData(f"{self.name}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})")
         if self.depth is not None:
-            if self.depth.shape != self._full_shape():
-                raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self._full_shape()}")
+            if self.depth.shape != self.content.shape:
+                raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}")
             if not (self.depth > 0).all():
                 raise BadData(f"{self.name}: depth must be positive everywhere [m]")
         self._check_layers()
@@ -114,16 +83,12 @@ class Scene:
             raise BadData(f"{self.name}: layers need the depth of what is behind them")
         farther = -np.inf
         for number, layer in enumerate(self.layers):
-            name, content, shape = f"{self.name}: layer {number}", layer.content, self._full_shape()
-            _check_content(content, name)
-            same = type(content) is type(self.content) and np.array_equal(content.wavelengths, self.wavelengths)
-            if same and not isinstance(content, Cube):
-                key = "basis" if isinstance(content, Basis) else "spectra"
-                same = np.array_equal(getattr(content, key), getattr(self.content, key))
-            if not same:
+            name, content, shape = f"{self.name}: layer {number}", layer.content, self.content.shape
+            content.check(name)
+            if not content.is_like(self.content):
                 raise BadData(f"{name}: wanted the scene's kind of content, its wavelengths and its basis or materials")
-            if _shape(content) != shape or np.shape(layer.alpha) != shape or np.shape(layer.depth) not in ((), shape):
-                raise BadData(f"{name}: content {_shape(content)}, alpha {np.shape(layer.alpha)} and depth "
+            if content.shape != shape or np.shape(layer.alpha) != shape or np.shape(layer.depth) not in ((), shape):
+                raise BadData(f"{name}: content {content.shape}, alpha {np.shape(layer.alpha)} and depth "
                               f"{np.shape(layer.depth)} do not match the scene {shape}")
             if not (np.min(layer.alpha) >= 0 and np.max(layer.alpha) <= 1):
                 raise OutOfRange(f"{name}: alpha", f"{np.min(layer.alpha):.4g} .. {np.max(layer.alpha):.4g}", "0 .. 1")
@@ -132,9 +97,6 @@ class Scene:
             if np.max(layer.depth) < farther:
                 raise BadData(f"{name}: nearer than the layer before it; the nearest comes first")
             farther = np.min(layer.depth)
-
-    def _full_shape(self):
-        return _shape(self.content)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,7 +108,7 @@ class Scene:
     @property
     def samples(self) -> tuple[int, int]:
         """Rows and columns of the scene's samples without the margin."""
-        rows, cols = self._full_shape()
+        rows, cols = self.content.shape
         return rows - 2 * self.margin, cols - 2 * self.margin
 
     @property
@@ -163,50 +125,3 @@ class Scene:
 def unit_light(wavelengths) -> Spectrum:
     """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
     return Spectrum(np.asarray(wavelengths)[[0, -1]], np.ones(2), "unknown light")
-
-
-def _shape(content):
-    """Rows and columns of samples."""
-    if isinstance(content, Cube):
-        return content.values.shape[1:]
-    return content.coefficients.shape[1:] if isinstance(content, Basis) else content.ids.shape
-
-
-def _check_content(content, name):
-    """Refuse what no camera could see: wrong shapes, NaN, negative light, unsorted wavelengths."""
-    if isinstance(content, Cube):
-        planes, spectra = content.values, None
-        if planes.ndim != 3 or len(planes) != len(content.wavelengths):
-            raise BadData(f"{name}: cube of shape {planes.shape}, wanted ({len(content.wavelengths)}, rows, cols)")
-    elif isinstance(content, Basis):
-        planes, spectra = content.coefficients, content.basis
-        if planes.ndim != 3 or spectra.shape != (len(planes), len(content.wavelengths)):
-            raise BadData(f"{name}: basis {spectra.shape} does not match coefficients {planes.shape} and "
-                          f"{len(content.wavelengths)} wavelengths")
-    else:
-        planes, spectra = content.shading, content.spectra
-        if content.ids.ndim != 2 or planes.shape != content.ids.shape:
-            raise BadData(f"{name}: ids {content.ids.shape} and shading {planes.shape} must be one (rows, cols)")
-        if spectra.ndim != 2 or spectra.shape[1] != len(content.wavelengths):
-            raise BadData(f"{name}: spectra {spectra.shape} do not match {len(content.wavelengths)} wavelengths")
-    if planes.size == 0:
-        raise BadData(f"{name}: zero-size scene {planes.shape}")
-    if isinstance(content, Materials) and (content.ids.min() < 0 or content.ids.max() >= len(spectra)):
-        raise OutOfRange(f"{name}: material id", int(content.ids.max()), f"0 .. {len(spectra) - 1}")
-    Spectrum(content.wavelengths, np.zeros(len(content.wavelengths)), name)  # checks the wavelengths
-    for label, values in (("samples", planes), ("spectra", spectra)):
-        if values is None:
-            continue
-        low, high = float(values.min()), float(values.max())
-        if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
-            raise BadData(f"{name}: NaN or infinite {label}")
-        if low < 0 and not isinstance(content, Basis):
-            raise BadData(f"{name}: negative {label} (lowest {low:.3g}); radiance cannot be negative")
-    if isinstance(content, Basis):  # coefficients may be negative, the spectra that they make may not
-        lowest, highest = 0.0, 0.0
-        for row in np.moveaxis(content.coefficients, 1, 0):  # row by row: the whole would be a cube
-            spectra = content.basis.T @ row
-            lowest, highest = min(lowest, float(spectra.min())), max(highest, float(spectra.max()))
-        if lowest < -NEGATIVE * highest or highest == 0 > lowest:
-            raise BadData(f"{name}: negative spectra (lowest {lowest:.3g}, highest {highest:.3g}); radiance cannot be "
-                          "negative")

@@ -45,7 +45,7 @@ def check_format(path, camera):
 
 
 def write_frame(path, frame):
-    """Write one frame (gpusim.scheduler.Frame) in the format of the path's suffix.
+    """Write one frame (gpusim.simulator.Frame) in the format of the path's suffix.
 
     .png: display codes. .exr: linear display RGB. .dng: digital numbers with what a raw converter needs.
     .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]), both (rows, cols) or, of

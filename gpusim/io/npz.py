@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadFile, shown
-from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.archive import NUMBERS, TEXT, open_archive
 from gpusim.io.atomic import atomic_path
@@ -37,12 +38,8 @@ def write_npz(path, scene: Scene):
     if scene.layers:
         raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: an archive holds one picture and its depth")
     arrays: dict = {"wavelengths_nm": content.wavelengths}
-    if isinstance(content, Cube):
-        arrays |= {"cube": content.values}
-    elif isinstance(content, Basis):
-        arrays |= {"coefficients": content.coefficients, "basis": content.basis}
-    else:
-        arrays |= {"ids": content.ids, "shading": content.shading, "spectra": content.spectra}
+    arrays |= {"cube" if name == "values" else name: getattr(content, name)
+               for name in (*content.samples, *content.shared)}
     arrays |= {"illuminant_wavelengths_nm": scene.illuminant.wavelengths, "illuminant": scene.illuminant.values,
                "border": scene.border, "margin": scene.margin, "name": scene.name,
                "samples_per_pixel": scene.samples_per_pixel}
@@ -143,13 +140,7 @@ class _Archive:
         if "illuminant_photons" in self.stored:
             light = self.array("illuminant_photons", len(wavelengths)).astype(np.float64)
             if (light > 0).all():  # a dark band has no reflectance: the radiance is kept then
-                if isinstance(content, Cube):
-                    content = Cube(wavelengths, content.values / light[:, None, None].astype(np.float32))
-                elif isinstance(content, Basis):
-                    content = Basis(wavelengths, content.coefficients, content.basis / light)
-                else:
-                    content = Materials(wavelengths, content.ids, content.shading, content.spectra / light)
-                return content, Spectrum(wavelengths, light, "illuminant")
+                return content.divided(light), Spectrum(wavelengths, light, "illuminant")
         kind = self.single("kind", "radiance")
         if kind not in ("radiance", "reflectance"):
             raise BadFile(self.path, f'kind: {kind!r}, wanted "radiance" or "reflectance"')

@@ -8,9 +8,9 @@ import zlib
 import numpy as np
 
 from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.content import Basis, Materials
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
-from gpusim.domain.scene import Basis, Materials
 from gpusim.io.files import file_size, named, open_file, reading
 from gpusim.io.png import CHANNELS, png, read_lines
 

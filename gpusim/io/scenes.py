@@ -3,13 +3,12 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
-from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
@@ -82,25 +81,10 @@ def _relit(path, scene, light, luminance):
     mean = mean_luminance(scene)
     if not mean > 0:
         raise BadFile(path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}")
-    return dataclasses.replace(scene, content=_scaled(scene.content, luminance / mean))
+    return dataclasses.replace(scene, content=scene.content.scaled(luminance / mean))
 
 
 def mean_luminance(scene: Scene) -> float:
     """Return the mean luminance of a scene's content (with its margin) [cd m-2]."""
-    content = scene.content
-    if isinstance(content, Cube):
-        mean = content.values.mean(axis=(1, 2), dtype=np.float64)
-    elif isinstance(content, Basis):
-        mean = content.coefficients.mean(axis=(1, 2), dtype=np.float64) @ content.basis
-    else:
-        share = np.bincount(content.ids.ravel(), content.shading.ravel(), len(content.spectra)) / content.ids.size
-        mean = share @ content.spectra
-    return float(xyz(Spectrum(content.wavelengths, mean), energy_from_photons(scene.illuminant))[1])
-
-
-def _scaled(content, factor):
-    if isinstance(content, Cube):
-        return Cube(content.wavelengths, content.values * np.float32(factor))
-    if isinstance(content, Basis):
-        return Basis(content.wavelengths, content.coefficients, content.basis * factor)
-    return Materials(content.wavelengths, content.ids, content.shading, content.spectra * factor)
+    mean = Spectrum(scene.wavelengths, scene.content.mean_spectrum())
+    return float(xyz(mean, energy_from_photons(scene.illuminant))[1])

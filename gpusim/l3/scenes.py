@@ -6,8 +6,9 @@ import numpy as np
 
 from gpusim.data.charts import WAVELENGTHS, chart, half_plane_coverage
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.content import Materials
 from gpusim.domain.errors import OutOfRange
-from gpusim.domain.scene import Materials, Scene
+from gpusim.domain.scene import Scene
 
 SURFACES = ("objects", "nature", "munsell", "skin", "dupont")  # of the scenes in turn
 SMALLEST = (1.0, 2.0, 4.0)  # radii of the smallest leaves [pixel]

@@ -17,6 +17,7 @@ from gpusim.developer import Developer
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import XYZ, Code, FilterTable, Layout
+from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
 from gpusim.l3.fit import NormalEquations
 from gpusim.l3.layout import layout
@@ -25,7 +26,7 @@ from gpusim.measure.ideal import pixel_sums
 from gpusim.planner.color import color_matrix
 from gpusim.planner.rendering import efficiency
 from gpusim.planner.weights import product_weights
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 OUTPUTS = ("channels", "xyz")
 GENERATED = 30  # scenes
@@ -211,8 +212,7 @@ def _strengths(camera, light, luminances, scenes, seed):
     rates = Simulator(camera, device="numpy").plan(white).white_rate
     assert rates is not None
     if luminances is None:
-        noise = np.hypot(sensor.read_sigma, sensor.noise.dsnu)
-        lowest = DARKEST * max(noise, 1.0) / sensor.saturation
+        lowest = DARKEST * max(RawNoise.of(sensor).variance() ** 0.5, 1.0) / sensor.saturation
         highest = max(rates.max() / rates.min(), 2 * lowest)
     else:
         values = np.atleast_1d(np.asarray(luminances, np.float64))

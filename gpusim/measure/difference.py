@@ -20,9 +20,10 @@ GAUSSIANS = (((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)), ((0.531, 0.0392
 def ciede2000(picture, reference, white=None) -> np.ndarray:
     """CIEDE2000 colour difference of every pixel, float64 (rows, cols).
 
-    picture, reference: each a frame (`Frame`: its linear picture clipped to what the display can show, before tone
-        curve and 8 bits; those of the screen are `display.xyz(frame.rgb)`), a `Scene` (its `ideal` picture on the
-        display of the other's frame, nothing clipped), or XYZ, shape (3, ...), white Y about 1.
+    picture, reference: each a frame (`Frame`: its linear picture with the exposure divided out, a perfect white
+        diffuser as display white, clipped to what the display can show, before tone curve and 8 bits; those of the
+        screen, as bright as it shows them, are `display.xyz(frame.rgb)`), a `Scene` (its `ideal` picture on the display
+        of the other's frame, nothing clipped), or XYZ, shape (3, ...), white Y about 1.
     white: XYZ that counts as white, shape (3,); None: the display's, sRGB's where there is no frame.
     Raises BadData. Source: CIE 142-2001, by colour-science.
     """
@@ -87,10 +88,11 @@ def cielab(xyz, white) -> np.ndarray:
 
 
 def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
-    """XYZ (3, ...) of a frame, or XYZ as given, and those of white (3,). Raises BadData."""
+    """XYZ (3, ...) of a frame, see `ciede2000`, or XYZ as given, and those of white (3,). Raises BadData."""
     display = picture.camera.display if hasattr(picture, "camera") else DISPLAYS["srgb"]
     if hasattr(picture, "camera"):
-        picture = np.tensordot(display.xyz_from_rgb, np.clip(picture.linear.astype(np.float64), 0, 1), 1)
+        linear = picture.linear.astype(np.float64) / picture.rendering.diffuser
+        picture = np.tensordot(display.xyz_from_rgb, np.clip(linear, 0, 1), 1)
     white = np.asarray(display.xyz_from_rgb.sum(1) if white is None else white, np.float64)
     xyz = np.asarray(picture)
     if xyz.dtype.kind not in "uif" or xyz.ndim < 1 or len(xyz) != 3:

@@ -6,7 +6,7 @@ from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.scene import Basis, Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
 from gpusim.planner.color import BRADFORD
 from gpusim.planner.sampling import AREA, frame_start, pixel_taps
@@ -66,22 +66,11 @@ def pixel_sums(scene: Scene, weights) -> np.ndarray:
 def _seen(scene, weights):
     """Sums over wavelength of all samples in the frame, (3, rows, cols); what stands in front hides what is behind."""
     middle = np.s_[scene.margin : -scene.margin or None, scene.margin : -scene.margin or None]
-    planes = _sums(scene.content, weights, middle)
+    planes = scene.content.weighted(weights, middle)
     for layer in scene.layers[::-1]:
         alpha = np.asarray(layer.alpha, np.float64)[middle]
-        planes = planes * (1 - alpha) + _sums(layer.content, weights, middle) * alpha
+        planes = planes * (1 - alpha) + layer.content.weighted(weights, middle) * alpha
     return planes
-
-
-def _sums(content, weights, middle):
-    if isinstance(content, Cube | Basis):
-        planes, table = ((content.values, weights) if isinstance(content, Cube) else
-                         (content.coefficients, weights @ content.basis.T))
-        total = np.zeros((3, *planes[0][middle].shape))
-        for plane, column in zip(planes, table.T, strict=True):  # one after the other: a cube in float64 is large
-            total += column[:, None, None] * plane[middle]
-        return total
-    return (weights @ content.spectra.T)[:, content.ids[middle]] * content.shading[middle]
 
 
 def _pixels(scene, planes):

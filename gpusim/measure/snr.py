@@ -33,9 +33,9 @@ def snr(patch, second=None):
 def visible_snr(patch, samples_per_degree: float, white=None) -> float:
     """Visible SNR [1 / Delta E]: one over the standard deviation of an even patch in S-CIELAB; infinite without noise.
 
-    patch: a frame, or XYZ (3, rows, cols) with white Y about 1, of one colour throughout. samples_per_degree: see
-    `gpusim.measure.samples_per_degree`. white: XYZ that counts as white, shape (3,); None: the display's, sRGB's where
-    there is no frame. Raises BadData, OutOfRange.
+    patch: a frame, its exposure divided out (see `gpusim.measure.ciede2000`), or XYZ (3, rows, cols) with white Y about
+    1, of one colour throughout. samples_per_degree: see `gpusim.measure.samples_per_degree`. white: XYZ that counts as
+    white, shape (3,); None: the display's, sRGB's where there is no frame. Raises BadData, OutOfRange.
     Source: Farrell, Okincha, Parmar & Wandell 2010, "Using visible SNR (vSNR) to compare the image quality of pixel
     binning and digital resizing", Proc. SPIE 7537: 1 / sqrt(var L* + var a* + var b*).
     """

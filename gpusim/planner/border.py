@@ -13,6 +13,7 @@ light is smooth, so a coarse grid is enough for it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -72,9 +73,7 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
         """The middle period of a world that repeats itself after `wide` of them."""
         around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
         part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
-        fy, fx = (frequencies(wide * count) / step for frequencies, count, step in
-                  zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
-        spectrum = np.fft.rfft2(part) * _kernel(np.hypot(fy[:, None], fx), max(steps), tail, disc)
+        spectrum = np.fft.rfft2(part) * _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc)
         y, x = middle
         return np.fft.irfft2(spectrum, part.shape)[y : y + cells[0], x : x + cells[1]]
 
@@ -182,6 +181,7 @@ def _inside(image, margin):
     return image[margin : image.shape[0] - margin, margin : image.shape[1] - margin]
 
 
+@lru_cache(maxsize=32)
 def _means(n, period, cells, border, wide):
     """Means over the cells of a world of `wide` periods, as weights of the image's n samples."""
     length, step = wide * period, period / cells
@@ -199,11 +199,15 @@ def _means(n, period, cells, border, wide):
     return csr_array((entries, places), shape=(wide * cells, n))
 
 
-def _kernel(f, soft, tail, disc):
-    """Transform of tail r^-3, softened within a cell, and of a disc.
+@lru_cache(maxsize=32)
+def _kernel(cells, steps, tail, disc):
+    """Transform of tail r^-3, softened within a cell, and of a disc, at the frequencies of a world of cells.
 
     (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel.
     """
+    fy, fx = (frequencies(count) / step for frequencies, count, step in
+              zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
+    f, soft = np.hypot(fy[:, None], fx), max(steps)
     kernel = tail * 2 * np.pi / soft * (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6)
     if disc:
         v = np.maximum(2 * np.pi * disc * f, 1e-9)

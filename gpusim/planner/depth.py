@@ -8,7 +8,7 @@ what is farther (Barsky and Kosloff, "Algorithms for Rendering Depth of Field Ef
 Cuts are placed where they remove the most predicted error.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.special import jv
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
-from gpusim.domain.scene import Basis, Cube, Layer, Materials, Scene
+from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 
 MOST_KERNELS = 64
@@ -89,7 +89,7 @@ class DepthPlan:
         if not nearer.any():
             return content, self.layer == layer, self.confusion
         rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True)
-        return moved(content, rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
+        return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 
     def shares(self, coverage, confusion):
         """Kernels of a layer and each pixel's share in them: pairs (kernel, share float32 (rows, cols)).
@@ -113,24 +113,13 @@ class DepthPlan:
                 yield kernel, share
 
 
-def moved(content: Cube | Basis | Materials, rows, cols) -> Cube | Basis | Materials:
-    """Content of which each sample is that at (rows, cols), two arrays (rows, cols)."""
-    if isinstance(content, Materials):
-        return replace(content, ids=content.ids[rows, cols], shading=content.shading[rows, cols])
-    if isinstance(content, Cube):
-        return replace(content, values=content.values[:, rows, cols])
-    return replace(content, coefficients=content.coefficients[:, rows, cols])
-
-
 def flattened(scene: Scene):
     """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half."""
     content, depth = scene.content, scene.depth
     for layer in reversed(scene.layers):
         front = np.asarray(layer.alpha) >= 0.5
         depth = np.where(front, layer.depth, depth)  # type: ignore[arg-type]  # Scene has checked
-        keys = {Materials: ("ids", "shading"), Cube: ("values",), Basis: ("coefficients",)}[type(content)]
-        content = replace(content, **{key: np.where(front, getattr(layer.content, key), getattr(content, key))
-                                      for key in keys})
+        content = content.behind(layer.content, front)
     return content, depth
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.scene import Basis, Cube, Materials
+from gpusim.domain.content import Content
 
 RIDGE = 0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
 SMALLEST_TAIL = 1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
@@ -106,33 +106,21 @@ class Spectra:
     differences: np.ndarray
 
     @classmethod
-    def of(cls, content: Cube | Basis | Materials) -> "Spectra":
+    def of(cls, content: Content) -> "Spectra":
         """Moments of the content, from evenly spaced pairs of rows, about SAMPLES pixels in all."""
-        rows, cols = (content.ids if isinstance(content, Materials) else _planes(content)[0]).shape
+        rows, cols = content.shape
         count = min(max(rows - 1, 1), max(8, SAMPLES // cols))
         first = np.unique(np.linspace(0, max(rows - 2, 0), count).astype(int))
-        upper, lower = (_spectra_at(content, np.minimum(y, rows - 1)) for y in (first, first + 1))
-        across, down = np.diff(upper, axis=1), lower - upper
+        upper, lower = (content.bands_at(np.minimum(y, rows - 1)) for y in (first, first + 1))
+        across, down = np.diff(upper, axis=2), lower - upper
         values = _moment(upper)
         differences = _moment(down)
         return cls(values, differences + (_moment(across) if across.size else 0))
 
 
-def _planes(content):
-    return content.values if isinstance(content, Cube) else content.coefficients
-
-
-def _spectra_at(content, rows):
-    """Spectra of whole rows, shape (rows, cols, L)."""
-    if isinstance(content, Materials):
-        return content.shading[rows, :, None] * np.asarray(content.spectra, np.float64)[content.ids[rows]]
-    values = np.moveaxis(_planes(content)[:, rows].astype(np.float64), 0, -1)
-    return values @ np.asarray(content.basis, np.float64) if isinstance(content, Basis) else values
-
-
-def _moment(vectors):
-    vectors = vectors.reshape(-1, vectors.shape[-1])
-    return vectors.T @ vectors / len(vectors)
+def _moment(bands):
+    bands = bands.reshape(len(bands), -1)
+    return bands @ bands.T / bands.shape[1]
 
 
 @dataclass(frozen=True, eq=False)

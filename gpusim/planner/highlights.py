@@ -7,12 +7,12 @@ transforms. It never wraps around. The border's rule holds for it too: where it 
 and what would go on as a line of light, a pixel at the edge of a picture whose edge goes on, is not split.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import j1
 
-from gpusim.domain.scene import Basis, Cube, Materials
+from gpusim.domain.content import Content
 
 THRESHOLD = 100.0  # times the median
 MOST = 64  # points; what is beyond them stays in the planes, and its error is reported
@@ -59,10 +59,10 @@ def _level(brightness):
     return float(np.median(brightness[brightness > 0]))
 
 
-def split_highlights(content: Cube | Basis | Materials, brightness, q: float, margin: int, border: str):
+def split_highlights(content: Content, brightness, q: float, margin: int, border: str):
     """Content without its highlights, and these (None where none can be split off).
 
-    brightness: of the content, see `brightness_of`; without the highlights on return. q: largest wavelength times
+    brightness: of the content, see `Content.brightness`; without the highlights on return. q: largest wavelength times
     f-number over pitch. margin: of the scene around the frame [pixel]. border: "zero", "edge" or "reflect".
     """
     median = _level(brightness)
@@ -82,20 +82,9 @@ def split_highlights(content: Cube | Basis | Materials, brightness, q: float, ma
     rows, cols = np.unravel_index(chosen, brightness.shape)
     level = brightness[rows, cols].astype(np.float64)
     keep = (median / level).astype(np.float32)
-    if isinstance(content, Materials):
-        light, spectra = content.ids[rows, cols], np.asarray(content.spectra, np.float64)
-        used, light = np.unique(light, return_inverse=True)
-        spectra, strength = spectra[used], content.shading[rows, cols].astype(np.float64)
-        planes = content.shading.copy()
-        rest: Cube | Basis | Materials = replace(content, shading=planes)
-    else:
-        planes = (content.values if isinstance(content, Cube) else content.coefficients).copy()
-        spectra = planes[:, rows, cols].T.astype(np.float64)
-        if isinstance(content, Basis):
-            spectra = spectra @ content.basis
-        light, strength = np.arange(len(chosen)), np.ones(len(chosen))
-        rest = (replace(content, values=planes) if isinstance(content, Cube)
-                else replace(content, coefficients=planes))
+    spectra, light, strength = content.points(rows, cols)
+    planes = content.planes.copy()
+    rest = content.with_planes(planes)
     stored = planes[..., rows, cols].astype(np.float64)
     planes[..., rows, cols] *= keep
     # exactly what was taken away, the rounding of the stored remainder included
@@ -130,15 +119,6 @@ def _mirrored(places, image, axis, n, reach):
         parts.append((moved[near], image[near]))
     found, images = zip(*parts, strict=True)
     return np.concatenate(found), np.concatenate(images)
-
-
-def brightness_of(content: Cube | Basis | Materials, total) -> np.ndarray:
-    """Content weighted by `total` (L,), such as the sum of all channels, at every pixel: float32 (rows, cols)."""
-    if isinstance(content, Materials):
-        return (content.spectra @ total).astype(np.float32)[content.ids] * content.shading
-    planes, weights = (content.values, total) if isinstance(content, Cube) else (
-        content.coefficients, content.basis @ total)
-    return np.tensordot(weights.astype(np.float32), planes, 1)
 
 
 def airy_density(radius, q):

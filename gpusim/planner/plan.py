@@ -1,7 +1,7 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from math import ceil, prod
 
 import numpy as np
@@ -9,16 +9,18 @@ from scipy.special import j0, j1
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.scene import Basis, Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
-from gpusim.planner.depth import DepthPlan, flattened, plan_depth
+from gpusim.planner.depth import DepthPlan, plan_depth
+from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
-from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
+from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
-from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, brightness_of, split_highlights, unsplit_error
+from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.sampling import (
     AREA,
@@ -83,7 +85,7 @@ class Plan:
     table: np.ndarray | None
     gains: np.ndarray | None
     transfers: np.ndarray | None
-    content: Cube | Basis | Materials
+    content: Content
     highlights: Highlights | None
     varying: FieldBlur | None
     depth: DepthPlan | None
@@ -106,7 +108,7 @@ class Plan:
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
          tolerance: Tolerance | None = None, guaranteed: bool = False, reach: int | None = None,
          fft_free: bool = False, period: tuple[int, int] | None = None,
-         keep=lambda _, __, make: make()) -> Plan:
+         keep=lambda _, __, make: make(), facts: Facts | None = None) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     transform_lengths: function of the least (rows, cols) and the mosaic's period that gives the kernels' transform
@@ -120,14 +122,16 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
     needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
     transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
-    then. keep: function (what, key, make) that may give what make() gave before for the same key.
+    then. keep: function (what, key, make) that may give what make() gave before for the same key. facts: of the scene,
+    where they were read before.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     optics, sensor = camera.optics, camera.sensor
-    nodes, (content, depth) = scene.wavelengths, flattened(scene)
+    facts = Facts.of(scene) if facts is None else facts
+    nodes, content, depth = scene.wavelengths, facts.content, facts.depth
     area = prod(sensor.aperture)
     factors = [scene.illuminant, sensor.qe]
     constant = area * optics.irradiance_factor
@@ -144,7 +148,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                       f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
 
     _check_light(scene, content, camera)
-    spectra = _entry_spectra(content)
+    spectra = content.entry_spectra
     ratio, blurred = float(scene.samples_per_pixel), optics.model != "none"
     aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
     cell = aperture if ratio == 1 else (1.0, 1.0)  # height and width over which blurred samples are integrated
@@ -158,8 +162,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         step = "pixel pitch" if ratio == 1 else "distance of scene samples"
         raise OutOfRange(f"{camera.name}: wavelength x f-number / {step}", f"{q.min():.2g}",
                          f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
-    limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, content)
-    brightness = brightness_of(content, weights.sum(axis=0))
+    limit, level = (None, sensor.saturation) if tolerance is None else _limit(tolerance, sensor, weights, facts)
+    brightness = facts.brightness(weights.sum(axis=0))
     mean_q = float(np.average(q, weights=weights.sum(axis=0)))
     size = blurred_level(brightness, mean_q, scene.margin) if blurred else 0.0
     highlights, ideal = None, optics.is_ideal and not optics.varies and optics.distortion is None and depth is None
@@ -167,7 +171,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if (blurred and not period and ideal and cell[0] == cell[1] and not any(moved)
             and (ratio > 1 or not sensor.stacked)):
         content, highlights = split_highlights(content, brightness, q.max(), scene.margin, rule_of(scene.border))
-    by_depth, without = _by_depth(scene, depth, content, optics, sensor.pixel_pitch / ratio, weights, limit)
+        facts = facts if highlights is None else Facts(content)
+    by_depth, without = _by_depth(scene, facts, optics, sensor.pixel_pitch / ratio, weights, limit)
     spread = by_depth.reach if by_depth else spread_radius(optics, nodes, sensor.pixel_pitch / ratio) if blurred else 0
 
     def lengths(least):
@@ -207,8 +212,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                              "a blur that is the same all over the frame and at every angle")
         folded = False
     blur = "optics.nearfar" if fft_free else "optics.mosaic" if folded else "optics.blur"
-    stage = "spectral.materials" if isinstance(content, Materials) else "spectral.integrate"
-    form = type(content).__name__.lower()
+    stage = "spectral.materials" if content.labels is not None else "spectral.integrate"
+    form = content.form
     if not blurred:
         table, gains, transfers = weights @ spectra.T, None, None
         models[stage] = f"{form} of {len(spectra)} entries straight to {len(weights)} channels (no blur to apply)"
@@ -235,16 +240,17 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                 fx = np.arange(SAMPLED_PERIOD // 2 + 1) / SAMPLED_PERIOD
                 fy = np.fft.fftfreq(SAMPLED_PERIOD) if tables.shape[-2] > len(fx) else fx
                 tables = tables * pixel_response(taps, fy, fx)
-            response = Response.of(even, tables, sensor.cfa_indices)
+            response = keep("response", (even, tables, sensor.cfa_indices),
+                            lambda: Response.of(even, tables, sensor.cfa_indices))
         if optics.varies:
             inputs, transfers, gains, varying, wrong, models[blur] = _varying(
-                scene, content, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
+                scene, facts, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
                 fft_length, keep)
             table = inputs @ spectra.T
             models["optics.field"] = varying.report
             predicted["field at the worst place"] = varying.error[1]
         elif limit is not None:
-            fused = (_guaranteed if guaranteed else _fused)(scene, content, response, gains.shape[1], limit)
+            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit, keep)
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
@@ -257,6 +263,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
         else:
             models["optics.pupil"] = f"{optics.description}, integrated over {over}"
+        if transfers is not None:
+            models.setdefault("spectral.integrate", f"tables of {len(nodes)} wavelengths to those of the planes")
         models[blur] += ", folded into the mosaic" if folded else ", without transforms" if fft_free else ""
     if by_depth is not None:
         models["optics.composite"] = by_depth.model
@@ -306,7 +314,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
-    predicted["scene sampling"] = sampling_error(content, weights, q, share, ratio, aperture, taps,
+    predicted["scene sampling"] = sampling_error(facts.moments(weights), weights, q, share, ratio, aperture, taps,
                                                  None if gains is None else tables_of, moved)
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
@@ -353,15 +361,15 @@ def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, leve
     return *transform(reach), border[0], "" if tolerance is None else broken(border, tolerance, level)
 
 
-def _by_depth(scene, depth, content, optics, pitch, weights, limit):
+def _by_depth(scene, facts, optics, pitch, weights, limit):
     """How the blur goes by distance, None where it does not; and why it does not although the scene tells distances."""
-    if depth is None:
+    if facts.depth is None:
         return None, ""
     for why, is_so in (("there is no blur", optics.model == "none"), ("the lens was measured at one", optics.psf),
                        ("the blur varies over the field", optics.varies), ("there is distortion", optics.distortion)):
         if is_so:
             return None, why
-    made = plan_depth(optics, pitch, depth, brightness_of(content, weights.sum(axis=0)), limit, scene=scene)
+    made = plan_depth(optics, pitch, facts.depth, facts.brightness(weights.sum(axis=0)), limit, scene=scene)
     for distance in made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
@@ -381,8 +389,7 @@ def _check_light(scene, content, camera):
     grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
     grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
                 & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
-    there = content.values.any(axis=(1, 2)) if isinstance(content, Cube) else _entry_spectra(content).any(axis=0)
-    lit = np.prod([np.interp(grid, nodes, there), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    lit = np.prod([np.interp(grid, nodes, content.lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
     lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
     if not lit.any():
         return
@@ -441,17 +448,16 @@ def _plain_axes(scene, ratio, aperture, displacement, _):
 
 def _exact(content, weights, spectra):
     """Table, gains, transfers and description of the plan that treats every band, or every entry, by itself."""
-    if not isinstance(content, Cube) and 2 * len(spectra) <= len(content.wavelengths):
+    if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
-        table = np.eye(len(spectra)) if isinstance(content, Materials) else None
-        form = type(content).__name__.lower()
+        table = np.eye(len(spectra)) if content.labels is not None else None
         return (table, np.ones((len(weights), len(spectra))), weights[:, None] * spectra,
-                f"exact per band, {len(spectra)} {form} planes transformed in place of {len(weights[0])}")
-    table = None if isinstance(content, Cube) else spectra.T
+                f"exact per band, {len(spectra)} {content.form} planes transformed in place of {len(weights[0])}")
+    table = None if content.is_spectral else spectra.T
     return table, weights, None, f"exact per band, {len(weights[0])} wavelengths"
 
 
-def _limit(tolerance, sensor, weights, content):
+def _limit(tolerance, sensor, weights, facts):
     """Relative RMS error that keeps every bound of the tolerance, and the electrons of the frame's RMS level.
 
     The noise's sigma at the RMS level is at most the root of that level, which is below saturation; an exposure
@@ -459,7 +465,7 @@ def _limit(tolerance, sensor, weights, content):
     """
     level = sensor.saturation
     if sensor.exposure_time is not None:
-        values = Spectra.of(content).values
+        values = facts.spectra.values
         signal = np.einsum("cl,lm,cm->c", weights, values, weights)
         level = sensor.exposure_time * np.sqrt(signal.mean())
     sigmas = np.sqrt(max(level, 1.0))
@@ -492,14 +498,14 @@ def _quick_tables(optics, pitch, q, aperture, rows, cols, finer):
     return np.ascontiguousarray(tables).view(np.float64)
 
 
-def _varying(scene, content, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
+def _varying(scene, facts, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
     """Planes, transfers on the axis, gains, field-varying rest, error and description of a blur that varies.
 
     Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
     kernels share the limit.
     """
-    own, channels = Spectra.of(content), len(response.weights)
-    prior = _prior(scene, content, own)
+    own, channels = facts.spectra, len(response.weights)
+    prior = _prior(scene, facts)
     operators = [] if guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
     for count in range(1, MOST_PLANES + 1):
         if guaranteed:
@@ -518,12 +524,12 @@ def _varying(scene, content, response, guaranteed, lens, flat, shape, corner, li
     strength = np.maximum(strength / np.maximum(gains.T @ whole, 1e-300), 1e-12)
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     varying = keep("field plan", (shape, corner, limit, transfers.tobytes(), lens.pitch), lambda: choose(
-        Differences(lens, content.wavelengths, transfers * flat, shape, corner, limit / 8), shape,
+        Differences(lens, facts.content.wavelengths, transfers * flat, shape, corner, limit / 8), shape,
         limit / 2 / np.sqrt(count), fft_length))
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count)))
     return table, transfers[None], gains, varying, error, (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
-        f"{len(content.wavelengths)} wavelengths")
+        f"{len(facts.content.wavelengths)} wavelengths")
 
 
 def _blocks(parts):
@@ -535,55 +541,53 @@ def _blocks(parts):
     return out
 
 
-def _fused(scene, content, response, planes, limit):
+def _fused(scene, facts, response, planes, limit, keep):
     """The joint operator of the lowest rank predicted to keep `limit`; None where `planes` exact ones do as well.
 
     The error is predicted for the scene's own spectra whatever the prior: what lies outside the prior is seen, and
     raises the rank.
     """
-    own = Spectra.of(content)
-    prior = _prior(scene, content, own)
+    own = facts.spectra
+    prior = _prior(scene, facts)
     if not np.trace(prior) > 0:
         return None
-    operator = joint_operator(response, prior)
+    operator = keep("operator", (response, prior), lambda: joint_operator(response, prior))
     for rank in operator.ranks:
         error = operator.predicted(rank, own)
         if rank >= planes:
             break
         if PREDICTION_FACTOR * error < limit:
             return (operator.w_in[:, :rank].T, operator.transfers(rank), error,
-                    f"joint spectral operator of rank {rank} in place of {len(content.wavelengths)} wavelengths")
+                    f"joint spectral operator of rank {rank} in place of {len(facts.content.wavelengths)} wavelengths")
     return None
 
 
-def _prior(scene, content, own):
+def _prior(scene, facts):
     """E[x^T x] of likely spectra, shape (L, L).
 
     The reflectances of PRIOR where a cube's light is known, so that all frames of a film share the operator; otherwise
     the scene's own.
     """
-    if not (isinstance(content, Cube) and scene.light_is_known):
-        return own.values
-    likely = np.vstack([reflectances(name).at(content.wavelengths, outside=None) for name in PRIOR])
+    if not (facts.content.is_spectral and scene.light_is_known):
+        return facts.spectra.values
+    return _library(tuple(facts.content.wavelengths))
+
+
+@lru_cache(maxsize=4)
+def _library(wavelengths):
+    likely = np.vstack([reflectances(name).at(np.array(wavelengths), outside=None) for name in PRIOR])
     return likely.T @ likely / len(likely)
 
 
-def _guaranteed(scene, content, response, planes, limit):
+def _guaranteed(scene, facts, response, planes, limit, _):
     """The operator of fewest planes a channel whose bound over all spectra keeps `limit`; None: exact is as cheap."""
     channels = len(response.weights)
     for count in range(1, (planes - 1) // channels + 1):
         operator = channel_operator(response, count)
         if operator.bound < limit:
             return (operator.table, operator.transfers, operator.bound,
-                    f"{count} planes a channel, right for every spectrum, in place of {len(content.wavelengths)}")
+                    f"{count} planes a channel, right for every spectrum, in place of {len(facts.content.wavelengths)}")
     return None
-
-
-def _entry_spectra(content):
-    """Spectrum of one unit of each entry of the content, shape (entries, L)."""
-    if isinstance(content, Cube):
-        return np.eye(len(content.wavelengths))
-    return np.asarray(content.basis if isinstance(content, Basis) else content.spectra, np.float64)
 
 
 def _energy_beyond(radius, q):
@@ -599,11 +603,7 @@ def _bytes(rows, cols, period, content, table, gains, transfers, bands, channels
     """
     frame, padded = rows * cols, prod(period)
     quarter = (period[0] // 2 + 1) * (period[1] // 2 + 1)
-    if isinstance(content, Materials):
-        stored = 6 * frame
-    else:
-        stored = 4 * (content.values if isinstance(content, Cube) else content.coefficients).size
-    total = stored + frame * (4 * channels + 4 + 2 + 12 + 3)
+    total = content.nbytes + frame * (4 * channels + 4 + 2 + 12 + 3)
     if gains is not None:
         planes = gains.shape[1]
         total += 4 * frame * (planes if table is not None else 0)

@@ -21,7 +21,8 @@ class Rendering:
     display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
     that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
     camera_from_xyz: XYZ to values scaled like `neutral`, shape (3, 3); None without a colour matrix. model: in words.
-    white: the camera value of white in its strongest channel. saturation: the largest there is.
+    white: the camera value of display white in its strongest channel. saturation: the largest there is. diffuser: the
+    linear display value of a perfect white diffuser in the scene's light, 1 if normalised, or its light is not known.
     """
 
     display_from_camera: np.ndarray
@@ -31,14 +32,20 @@ class Rendering:
     model: str
     white: float
     saturation: float
+    diffuser: float
 
 
-def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1) -> Rendering:
-    """Transforms by which a perfect white diffuser in the scene's light comes out as display white.
+def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
+              keep=lambda _, __, make: make()) -> Rendering:
+    """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
 
-    camera: as operated (see `gpusim.scheduler.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
-    the scene's light is unknown, or not to be used, the target light is assumed; where it is unknown, saturation
-    becomes display white.
+    "exposure": display white is `AutoExposure.white` of saturation, a property of the camera alone, so that linear
+    display values are proportional to exposure time and analog gain up to saturation, 1 / `AutoExposure.white` of
+    display white, where all channels are clipped to white. "normalised": the camera value of a perfect white diffuser
+    is display white; where the scene's light is unknown, saturation is.
+    camera: as operated (see `gpusim.frame.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
+    the scene's light is unknown, or not to be used, the target light is assumed. keep: function (what, key, make) that
+    may give what make() gave before for the same key.
     Raises BadData (see `color_matrix`).
     """
     scene = plan.scene
@@ -49,17 +56,23 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
     if rates is not None and letters != XYZ:
         rates = rates[[sensor.channels.index(letter) for letter in letters]]
     saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
-    white = saturation  # the camera value of white in its strongest channel
+    white = diffuser = saturation  # camera values in the strongest channel
     if rates is not None:
-        white *= rates.max() * exposure_time * pixels / sensor.saturation
+        white = diffuser = saturation * (rates.max() * exposure_time * pixels / sensor.saturation)
+    if processor.scaling == "exposure":
+        white = saturation * sensor.auto_exposure.white
+    levels = white, saturation, 1.0 if rates is None else diffuser / white
     if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
-        return _scaled(matrix, neutral, None, f"XYZ in {processor.target} to the display", white, saturation)
+        return _scaled(matrix, neutral, None, f"XYZ in {processor.target} to the display", *levels)
     if processor.color != "none":
-        made = color_matrix(efficiency(camera, letters), light, processor.training, method=processor.color,
-                            target_light=processor.target, display=camera.display, channels=letters)
+        key = (camera.optics.transmission, sensor.qe, letters, light, processor.training, processor.color,
+               processor.target, camera.display)
+        made = keep("colour matrix", key, lambda: color_matrix(
+            efficiency(camera, letters), light, processor.training, method=processor.color,
+            target_light=processor.target, display=camera.display, channels=letters))
         matrix, neutral, to_xyz = made.matrix, made.white, made.xyz
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
     else:
@@ -70,7 +83,7 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1)
     if len(neutral) > 1:
         model += (f", white balance for {light.name or 'the scene light'}" if known else
                   f", as if the light were {processor.target}")
-    return _scaled(matrix, neutral, to_xyz, model, white, saturation)
+    return _scaled(matrix, neutral, to_xyz, model, *levels)
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
@@ -86,15 +99,15 @@ def rebalanced(once: Rendering, camera: Camera, transforms: TransformSet | None,
     block means of camera values, shape (C, rows, cols). floor: of darkness.
     Raises BadData (see `estimate_white`).
     """
-    processor = camera.processor
+    processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), estimate.white)
-        return _scaled(matrix, estimate.white, None, f"{model}, {estimate.model}", once.white, once.saturation)
+        return _scaled(matrix, estimate.white, None, f"{model}, {estimate.model}", *levels)
     assert transforms is not None  # color is not "none"
     made = transforms.at(estimate.white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {estimate.model}"
-    return _scaled(made.matrix, made.white, made.xyz, model, once.white, once.saturation)
+    return _scaled(made.matrix, made.white, made.xyz, model, *levels)
 
 
 def transforms_of(camera: Camera) -> TransformSet:
@@ -106,10 +119,10 @@ def transforms_of(camera: Camera) -> TransformSet:
                          target_light=processor.target, display=camera.display)
 
 
-def _scaled(matrix, neutral, to_xyz, model, white, saturation):
+def _scaled(matrix, neutral, to_xyz, model, white, saturation, diffuser):
     # the inverse of a square matrix; more channels than three have none, and no DNG either
     camera_from_xyz = np.linalg.inv(to_xyz) if to_xyz is not None and to_xyz.shape == (3, 3) else None
-    return Rendering(matrix / white, neutral * saturation, neutral, camera_from_xyz, model, white, saturation)
+    return Rendering(matrix / white, neutral * saturation, neutral, camera_from_xyz, model, white, saturation, diffuser)
 
 
 def _channels_shown(letters, neutral):

@@ -12,7 +12,7 @@ from math import ceil
 
 import numpy as np
 
-from gpusim.domain.scene import Basis, Cube, Materials
+from gpusim.domain.content import Content
 from gpusim.planner.fusion import SAMPLES
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
@@ -106,15 +106,15 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
     return along_y[:, None] * along_x
 
 
-def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: float, aperture, taps,
+def sampling_error(channels: "Moments", weights, q, share, ratio: float, aperture, taps,
                    transfer_tables=None, displacement=(0.0, 0.0)) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
-    weights: electrons per content, shape (C, L). q: wavelength times f-number over the distance of samples, (L,).
-    share: part of the pixels that has each channel, (C,). aperture: height and width of a pixel's [pixel]. taps: pair
-    of `Taps` (rows, columns), None where each pixel is one sample. transfer_tables: see `gpusim.planner.plan.plan`;
-    None without blur. displacement: of the apertures' middles from the samples, (rows, cols) [pixel], where there are
-    no taps.
+    channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
+    f-number over the distance of samples, (L,). share: part of the pixels that has each channel, (C,). aperture: height
+    and width of a pixel's [pixel]. taps: pair of `Taps` (rows, columns), None where each pixel is one sample.
+    transfer_tables: see `gpusim.planner.plan.plan`; None without blur. displacement: of the apertures' middles from the
+    samples, (rows, cols) [pixel], where there are no taps.
 
     The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
     where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
@@ -123,57 +123,55 @@ def sampling_error(content: Cube | Basis | Materials, weights, q, share, ratio: 
     T optics and pixel. Samples of which each has one material cannot be means: where the material changes, A is 1.
     The error is that of scene structure: lights of a point (highlights) are no part of it.
     """
-    means, squares, jumps, changes = _moments(content, weights)
-    if not share @ squares > 0:
+    if not share @ channels.squares > 0:
         return 0.0
     waves = _Waves.of(2.0 if transfer_tables is None else float(q.min()))
     optical = [None] * len(share) if transfer_tables is None else _channel_optics(
-        waves, weights * means, q, ratio, transfer_tables)
+        waves, weights * channels.means, q, ratio, transfer_tables)
     one = np.ones(waves.all.shape)
     responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
     error = 0.0
     for channel, part in enumerate(share):
         per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses, displacement)
-        error += part * (per_jump * jumps[channel] + per_change * changes[channel])
-    return float(np.sqrt(error / (share @ squares)))
+        error += part * (per_jump * channels.jumps[channel] + per_change * channels.changes[channel])
+    return float(np.sqrt(error / (share @ channels.squares)))
 
 
-def _moments(content, weights):
-    """The content's mean spectrum (L,), and per channel its mean square and those of differences between neighbours.
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Moments of a content seen by C channels.
 
-    The differences are summed over both directions; first those from one material to another, then all others.
+    means: the mean spectrum, shape (L,). squares: mean squares of the channels (C,). jumps, changes: mean squares of
+    differences between neighbours, summed over both directions: from one material to another, and all others (C,).
     """
-    planes = content.shading if isinstance(content, Materials) else (
-        content.values if isinstance(content, Cube) else content.coefficients)
-    total = planes.shape[-2]
-    count = max(8, SAMPLES // planes.shape[-1])
+
+    means: np.ndarray
+    squares: np.ndarray
+    jumps: np.ndarray
+    changes: np.ndarray
+
+
+def moments(content: Content, weights) -> Moments:
+    """Moments from evenly spaced pairs of rows. weights: of the channels, shape (C, L)."""
+    total, width = content.shape
+    count = max(8, SAMPLES // width)
     rows = np.unique(np.linspace(0, max(total - 2, 0), min(count, total)).astype(int))
-    spectra = np.eye(len(content.wavelengths)) if isinstance(content, Cube) else np.asarray(
-        content.basis if isinstance(content, Basis) else content.spectra, np.float64)
-    rates = spectra @ weights.T  # of a unit of each entry, (entries, C)
-
-    def channels(rows):
-        if isinstance(content, Materials):
-            return rates[content.ids[rows]] * content.shading[rows, :, None]
-        return np.moveaxis(planes[:, rows].astype(np.float64), 0, -1) @ rates
-
+    rates = weights @ content.entry_spectra.T  # of a unit of each entry, (C, entries)
     below = np.minimum(rows + 1, total - 1)
-    upper, lower = channels(rows), channels(below)
-    down, across = (lower - upper) ** 2, np.diff(upper, axis=1) ** 2
-    jump_down, jump_across = np.zeros(down.shape[:2], bool), np.zeros(across.shape[:2], bool)
-    if isinstance(content, Materials):
-        jump_down = content.ids[rows] != content.ids[below]
-        jump_across = np.diff(content.ids[rows].astype(int), axis=1) != 0
-        used = np.bincount(content.ids[rows].ravel(), content.shading[rows].ravel(), len(spectra))
-    else:
-        used = planes[:, rows].sum(axis=(1, 2), dtype=np.float64)
+    upper, lower = content.mixed(rates, rows), content.mixed(rates, below)
+    down, across = (lower - upper) ** 2, np.diff(upper, axis=2) ** 2
+    jump_down, jump_across = np.zeros(down.shape[1:], bool), np.zeros(across.shape[1:], bool)
+    if content.labels is not None:
+        jump_down = content.labels[rows] != content.labels[below]
+        jump_across = np.diff(content.labels[rows].astype(int), axis=1) != 0
 
     def mean(squares, chosen):
-        return (squares * chosen[..., None]).sum(axis=(0, 1)) / max(chosen.size, 1)
+        return (squares * chosen).sum(axis=(1, 2)) / max(chosen.size, 1)
 
     jumps = mean(down, jump_down) + mean(across, jump_across)
     changes = mean(down, ~jump_down) + mean(across, ~jump_across)
-    return np.maximum(used @ spectra, 0) / upper[..., 0].size, (upper**2).mean(axis=(0, 1)), jumps, changes
+    used = content.used(rows) @ content.entry_spectra
+    return Moments(np.maximum(used, 0) / upper[0].size, (upper**2).mean(axis=(1, 2)), jumps, changes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from gpusim.data.displays import open_display
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.scheduler import Simulator
+from gpusim.program.shots import Shots
+from gpusim.simulator import Simulator
 
 # by default on one device: the stages' own tests run on all, and whole pictures take long to build
 FIRST = [KINDS[0], *(kind if hasattr(kind, "marks") else pytest.param(kind, marks=pytest.mark.slow)
@@ -183,7 +184,7 @@ def test_noise_model_is_that_of_the_raw_values(noise, sensor):
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("flat", size=(120, 80)))
     raws = simulator.device.numpy(simulator.draw(exposure, seed=5, frames=24)).astype(float)[:, ::2, ::2]  # one colour
-    developer = simulator._developer(exposure)
+    developer = Shots(simulator, exposure).developer
     gain, read = developer.noise
     measured = raws.var(axis=0, ddof=1).mean()
     predicted = gain * (raws.mean() - exposure.camera.sensor.dark_level) + read**2
@@ -215,7 +216,8 @@ def test_blur_of_a_gaussian_lens(sigma):
     psf = PointSpread(np.array([400.0, 700.0]), np.stack([spread, spread]), spacing)
     camera = replace(camera, optics=replace(camera.optics, psf=psf, model="measured"))
     simulator = Simulator(camera, device="numpy")
-    assert simulator._blur(simulator.plan(chart("flat", size=(64, 48)))) == pytest.approx(sigma, rel=0.02)
+    plan = simulator.plan(chart("flat", size=(64, 48)))
+    assert simulator.imaging.tables.deviation(plan) == pytest.approx(sigma, rel=0.02)
 
 
 @pytest.mark.parametrize("color", ["white-preserving", "none"])
@@ -226,7 +228,8 @@ def test_estimated_white_keeps_the_brightness(color):
     of the light's own white, whose noise is 0.1 %.
     """
     # half a well: where values scatter about the clipping level, leaving out clipped ones would bias the means
-    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color)
+    camera = camera_with(sensor={"auto_exposure": AutoExposure(level=0.5)}, white_balance="gray-world", color=color,
+                         scaling="normalised")
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), light="A", reflectance=0.4))
     np.testing.assert_allclose(frame.linear.mean(axis=(1, 2)), 0.4, rtol=5e-3)
@@ -259,8 +262,8 @@ def test_layers_of_stacked_pixels_do_not_meet():
     raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=1)))
     changed = raw.copy()
     changed[40:] = 1000 - changed[40:] // 2  # all but the first layer
-    developer = simulator._developer(exposure)
-    known = simulator._defects(exposure)
+    developer = Shots(simulator, exposure).developer
+    known = Shots(simulator, exposure).defects
     planes = [np.array(simulator.device.numpy(developer.demosaicked(simulator.device.array(values, np.uint16),
                                                                     known=known, gains=exposure.gains)))
               for values in (raw, changed)]

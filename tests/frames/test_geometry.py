@@ -9,14 +9,15 @@ from devices import ALL_KINDS, KINDS
 from gpusim.backends import open_device
 from gpusim.data.cameras import open_camera
 from gpusim.data.lights import illuminant
+from gpusim.domain.content import Cube
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.warp import warp
 from gpusim.planner.geometry import microlens_gain, relative_illumination, warp_grid
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 PITCH = 1.4e-6
 HEIGHTS = np.linspace(0, 1.5, 31) * 1e-3

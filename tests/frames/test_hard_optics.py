@@ -11,18 +11,17 @@ from test_fusion import CAMERA, WAVELENGTHS, as_cube, library, made_for, natural
 
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.domain.errors import BadData
+from gpusim.domain.content import Cube
 from gpusim.domain.pupil import Pupil
-from gpusim.domain.scene import Cube, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.mosaic import mosaic, transform_lengths
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.planner.estimate import check_rank, estimate
 from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.highlights import CORE, airy_density, point_kernels
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 CFA = CAMERA.sensor.cfa_indices
 LIGHT = white_radiance(illuminant("D65"), 100.0)
@@ -334,39 +333,3 @@ def test_hard_10_blur_wider_than_a_tile(device):
     assert np.abs(tiled - whole).max() <= 1e-5 * whole.max()
     alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, gains, "zero", period, device=device)
     assert np.abs(alone - whole[:, :24, :24]).max() > 0.05 * whole.max()  # the blur is wider than a tile
-
-
-def test_hard_29_an_error_in_one_tile_is_seen():
-    """Stripes of one spectral line in one 8 x 8 tile, each of 31 lines: the check sees >= 50 % of the largest error.
-
-    Ranks 3 to 5 are checked against 6; a check against the next rank only sees 13 % at worst. It is seen in
-    the tile in which it is: the map's entry there counts.
-    """
-    scene = natural((96, 64))
-    made, (row, col) = made_for(scene), (3, 5)
-    brute, operator = Brute(made.q, scene.shape), joint_operator(response_of(made), library())
-    background = scene.content.values.astype(float)
-    seen = []
-    for line in range(31):
-        values = background.copy()
-        values[:, 8 * row : 8 * row + 8, 8 * col : 8 * col + 8] = 0
-        values[line, 8 * row : 8 * row + 8, 8 * col : 8 * col + 8] = (
-            31 * background.mean() * (np.indices((8, 8)).sum(axis=0) % 2))
-        transformed = brute.transform(values)
-        truth = brute.truth(transformed, made.weights, CFA)
-        frames = {rank: brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), CFA)
-                  for rank in (3, 4, 5, 6)}
-        for rank in (3, 4, 5):
-            assert check_rank(rank, 3) == 6
-            found = estimate(frames[rank], frames[6], 0.0)
-            error = np.abs(frames[rank] - truth)
-            y, x = np.unravel_index(np.argmax(error), error.shape)
-            seen.append(found.tiles[y // 8, x // 8] / error.max())
-    print(f"seen of the largest error: {min(seen):.2f} .. {max(seen):.2f}")
-    assert min(seen) >= 0.5
-
-
-def test_an_estimate_is_of_two_frames():
-    for wrong in (np.ones((3, 4)), np.full((4, 4), np.nan), np.ones(16)):
-        with pytest.raises(BadData, match="error estimate"):
-            estimate(np.ones((4, 4)), wrong, 1.0)

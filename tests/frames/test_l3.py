@@ -17,11 +17,12 @@ from gpusim.data.learned import read_table, write_table
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange, UnknownName
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.images import write_png
@@ -30,7 +31,7 @@ from gpusim.io.scenes import mean_luminance
 from gpusim.l3.cli import add_command, luminances
 from gpusim.l3.scenes import training_scenes
 from gpusim.l3.train import train, training_camera, wanted_colors
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 NODES = np.concatenate([[40, 399], np.arange(400, 701, 10), [701, 7000]])  # curves are zero outside 400 .. 700 nm
 
@@ -43,12 +44,13 @@ def rgbw_camera(cfa=("RG", "WB"), **sensor):
     settings = {"full_well": 9000, "bits": 12, "fill_factor": 0.45, "exposure_time": 0.1, "black_level": 64,
                 "noise": Noise(read=6.7, dsnu=7.05)}
     return Camera("rgbw", Optics(4, 3e-3), Sensor(2.2e-6, qe, channels=letters, cfa=cfa, **settings | sensor),
-                  Processor())
+                  Processor(scaling="normalised"))
 
 
 def using(camera, table):
     """The camera with these filters."""
-    return dataclasses.replace(camera, processor=Processor(demosaic="learned", table=table))
+    return dataclasses.replace(camera, processor=Processor(demosaic="learned", table=table,
+                                                                scaling="normalised"))
 
 
 def at_luminance(scene, mean):

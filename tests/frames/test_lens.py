@@ -7,12 +7,13 @@ import pytest
 from devices import DEVICES, KINDS
 
 import gpusim as gs
+from gpusim.domain.content import Cube
 from gpusim.domain.distortion import RadialPolynomial, ideal
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.pupil import pupil

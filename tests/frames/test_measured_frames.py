@@ -41,6 +41,9 @@ def test_ideal_frames():
     assert scielab(frame, flat, 30.0).max() < 5e-3
     assert ciede2000(frame, frame).max() == 0
     assert visible_snr(frame, 30.0) > 1e3
+    # the exposure is divided out: four stops darker the rounding to 16 bits is 16 times as large, 1.6e-2
+    dark = next(simulate.shoot(simulate.expose(flat, frame.exposure_time / 16)))
+    assert dark.linear.max() < frame.linear.max() / 15 and ciede2000(dark, flat).max() < 0.05
     checker = chart("colorchecker", size=(192, 128))
     frame = simulate(checker)
     difference = ciede2000(frame, checker)
@@ -54,7 +57,7 @@ def test_ideal_frames():
     electrons = np.trapezoid(camera.sensor.qe.at(nm)[:, None] * lit * surfaces, nm)
     matrix = color_matrix(camera.sensor.qe, "D65", camera.processor.training, method=camera.processor.color).matrix
     shares = electrons[:, :24] / electrons[:, 24].max()
-    rounding = 0.5 / (CORRECTED_WHITE - CORRECTED_BLACK) / frame.rendering.white
+    rounding = 0.5 / (CORRECTED_WHITE - CORRECTED_BLACK) / (frame.rendering.white * frame.rendering.diffuser)
     wanted = ideal(checker)
     wanted = np.stack([wanted[:, *patch].mean(axis=(1, 2)) for patch in colorchecker_patches((192, 128))], 1)
     known, *others = (ciede2000(Display().xyz_from_rgb @ np.clip(matrix @ (shares + shift), 0, 1), wanted)

@@ -13,8 +13,9 @@ from devices import KINDS
 from scipy.optimize import brentq
 
 from gpusim.data.cameras import open_camera
-from gpusim.domain.scene import Cube, Scene, unit_light
-from gpusim.scheduler import Simulator
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene, unit_light
+from gpusim.simulator import Simulator
 
 ANGLE = np.radians(5)
 MARGIN = 80

@@ -16,16 +16,16 @@ from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
 from gpusim.multiframe import _display_noise, merge_bracket, merge_burst, merge_flash
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 PHONE = gs.open_camera("phone")
 COUNT = 8  # frames of a burst
 
 
-def camera(**sensor):
+def camera(scaling="exposure", **sensor):
     """The phone without fixed patterns: what is left varies from frame to frame and averages out."""
     noise = dataclasses.replace(PHONE.sensor.noise, prnu=0.0, dsnu=0.0)
-    processor = dataclasses.replace(PHONE.processor, demosaic="bilinear")
+    processor = dataclasses.replace(PHONE.processor, demosaic="bilinear", scaling=scaling)
     return dataclasses.replace(PHONE, sensor=dataclasses.replace(PHONE.sensor, noise=noise, **sensor),
                                processor=processor)
 
@@ -140,7 +140,8 @@ def test_bracket_extends_the_dynamic_range_by_its_ratio():
 
 
 def test_bracket_develops_beyond_white_and_far_below():
-    simulate = patches()[-1]
+    exposed = patches()[-1].camera
+    simulate = Simulator(camera("normalised", exposure_time=exposed.sensor.exposure_time), device="opencl:0")
     levels = np.array([1e-3, 0.02, 0.5, 2.0, 6.0, 12.0])
     scene = grey(np.repeat(levels, 40)[None].repeat(60, 0))
     frame = merge_bracket(simulate, simulate.bracket(scene, STOPS))
@@ -176,7 +177,7 @@ def test_bracket_of_eight_stops_keeps_its_dark_parts_in_16_bits():
 @pytest.mark.parametrize("taken", [((1, 1), (1, 16)), ((1, 16), (1, 1)), ((0.25, 16), (1, 1))])
 def test_bracket_of_any_gains_in_any_order(taken):
     """The frame that holds the largest rate is not always the first or the shortest."""
-    simulate = simulator()
+    simulate = Simulator(camera("normalised"), device="opencl:0")
     scene = grey(np.geomspace(0.005, 0.9, 64)[None].repeat(64, 0))
     time = simulate.expose(scene).exposure_time
     exposures = [simulate.expose(scene, part * time, gain) for part, gain in taken]
@@ -188,6 +189,30 @@ def test_bracket_of_any_gains_in_any_order(taken):
     # display white is the frames' own: 1000 pixels of 5 % noise, and the blue of the darker third
     alike = next(simulate.shoot(simulate.expose(scene, time), seed=9)).linear[:, :, 32:]
     assert frame.linear[:, :, 32:].mean() == pytest.approx(alike.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize(("stops", "middle"), [((-2, 0, 2), 1), ((0, 2, -2), 0), ((-4, -2, 0), 1)])
+def test_merged_pictures_are_as_bright_as_one_of_their_frames(stops, middle):
+    """A bracket as the frame of middle exposure, what is white in the others included; a burst as its reference.
+
+    No blur, which would take light from patch to patch. The darkest frame has 123 e- of the darkest patch, with noise
+    of 12 %, and 1728 values, a third of them independent of their neighbours: 0.5 %; four times that.
+    """
+    plain = dataclasses.replace(PHONE.optics, model="none", relative_illumination="none")
+    simulate = Simulator(dataclasses.replace(camera(), optics=plain), device="opencl:0")
+    scene = grey(np.repeat([0.1, 0.24, 1.0], 40)[None].repeat(40, 0))
+    frames = simulate.bracket(scene, stops)
+    merged = merge_bracket(simulate, frames)
+    for column, level in ((0, 0.1), (40, 0.24), (80, 1.0)):
+        cut = np.s_[:, 8:-8, column + 8 : column + 32]
+        # the metered white at the level of automatic exposure is display white
+        wanted = level * 2.0 ** stops[middle]
+        assert merged.linear[cut].mean() == pytest.approx(wanted, rel=0.02)
+        if wanted <= 1:
+            assert frames[middle].linear[cut].mean() == pytest.approx(wanted, rel=0.02)
+    burst = merge_burst(simulate, list(simulate.frames(scene, COUNT)))
+    assert burst.linear[:, 8:-8, 88:-8].mean() == pytest.approx(1, rel=0.02)
+    assert burst.rgb[8:-8, 88:-8].mean() > 252  # white has 0.6 % of noise, 2 codes where it does not clip
 
 
 def test_single_full_pixels_are_left_out():
@@ -439,6 +464,21 @@ def test_burst_knows_all_noise(monkeypatch):
     # without rows it is 16 % less
     assert told["noise"][1] ** 2 == pytest.approx(variance, rel=0.07)
     assert told["noise"][0] == pytest.approx(simulate.camera.sensor.gain_dn_per_electron)
+
+
+def test_burst_of_binned_numbers_averages_the_dark_current_s_noise():
+    """Means of 4 digital numbers have a quarter of it: what is said of the dark is the scatter of the dark's electrons.
+
+    Of 100 e- of dark current and 30 of reading, 8 frames: 32 x 32 values scatter by sqrt(2 / 1024) = 4.4 % of the
+    variance, and 2 % more is left where displacements follow the noise (as at rest). With all of the dark current's
+    noise it would be 3.3 times as large.
+    """
+    simulate = processed({"exposure_time": 0.05, "binning": (2, 2), "binning_mode": "digital"},
+                         {"dark_current": 2000.0, "dsnu": 0.0})
+    frame = merge_burst(simulate, list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT)))
+    assert simulate.readout.averaged == 4
+    said = frame.camera.sensor.noise.read ** 2 / 4
+    assert frame.mean.var() == pytest.approx(said, rel=4.5 * np.sqrt(2 / frame.mean.size) + 0.02)
 
 
 # --- flash ------------------------------------------------------------------------------------------------------------

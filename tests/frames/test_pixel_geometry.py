@@ -10,11 +10,12 @@ from scipy.special import erf, j1
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
+from gpusim.domain.content import Cube, Materials
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.domain.scene import Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
@@ -22,8 +23,8 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.planner.geometry import vignetting_gain
 from gpusim.planner.lens import PupilLens
 from gpusim.planner.psf import psf_tables
-from gpusim.planner.sampling import sampling_error
-from gpusim.scheduler import Simulator
+from gpusim.planner.sampling import moments, sampling_error
+from gpusim.simulator import Simulator
 
 BANDS = np.array([500.0, 550.0, 600.0])  # [nm]
 OBLONG, ASIDE = (1.0, 0.5), (0.5, -0.25)  # height and width, (rows, cols) [pixel]
@@ -303,7 +304,7 @@ def test_the_sampling_error_knows_rectangles_and_places():
         return airy(q, aperture, rows, cols, device="numpy")
 
     def error(aperture, displacement):
-        return sampling_error(content, weights, q, share, 1.0, aperture, None, tables, displacement)
+        return sampling_error(moments(content, weights), weights, q, share, 1.0, aperture, None, tables, displacement)
 
     assert error((0.9, 0.4), (0.0, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.0)), rel=1e-9)
     assert error((0.9, 0.4), (0.3, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.3)), rel=1e-9)

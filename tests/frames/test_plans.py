@@ -9,13 +9,14 @@ from test_fusion import CAMERA, WAVELENGTHS, library, made_for, natural, respons
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.planner.fusion import Spectra, joint_operator
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 LINES = {3: 1.2e-3, 4: 4e-4, 6: 1e-5}  # relative RMS errors that the ranks have to keep
 

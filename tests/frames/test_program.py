@@ -183,7 +183,7 @@ sys.meta_path.insert(0, Finder())
 
 @pytest.mark.parametrize("module", ["gpusim.cli", "argparse", "json", "gpusim.domain.errors", "gpusim.data.cameras",
                                     "numpy", "numpy._core._multiarray_umath", "gpusim.io.exr", "scipy.special",
-                                    "gpusim.scheduler"])
+                                    "gpusim.simulator"])
 def test_an_interruption_is_one_line_from_the_first_import_on(module):
     done = program(*FLAT, code=SIGNALLED.format(module=module, name="SIGINT"))
     assert (done.returncode, done.stderr) == (2, "gpusim: interrupted\n")

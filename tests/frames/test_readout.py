@@ -14,16 +14,18 @@ from devices import ALL_KINDS, KINDS
 from gpusim.data.charts import chart
 from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs
-from gpusim.scheduler import Simulator
+from gpusim.program.imaging import Imaging
+from gpusim.simulator import Simulator
 
 Z = 4.5
 ULP = 2.0**-23  # of float32, relative: twice the largest rounding error
@@ -39,12 +41,12 @@ MOSAICS |= {f"random {n}x{n}": tuple("".join(row) for row in RANDOM.permuted(np.
             for n in (4, 8)}
 
 
-def camera(cfa=("Y",), noise=QUIET, optics=OPTICS, name="bench", **sensor):
+def camera(cfa=("Y",), noise=QUIET, optics=OPTICS, name="bench", scaling="exposure", **sensor):
     letters = sorted(set("".join(cfa)), key=("RGB" + "".join(CURVES)).index)
     qe = Spectrum([400, 550, 700], [CURVES[letter] for letter in letters])
     made = Sensor(**{"pixel_pitch": 3e-6, "qe": qe, "full_well": 10000.0, "bits": 12, "channels": letters, "cfa": cfa,
                      "noise": noise, "exposure_time": 0.01} | sensor)
-    return Camera(name, optics, made, Processor(demosaic="bilinear", color="none"))
+    return Camera(name, optics, made, Processor(demosaic="bilinear", color="none", scaling=scaling))
 
 
 def simulator(*arguments, device="opencl", **sensor):
@@ -97,7 +99,7 @@ def test_each_pixel_sees_its_own_channel(name):
 @pytest.mark.parametrize("name", ["mono", "bayer-gbrg", "x-trans", "rgbw", "rccc"])
 def test_grey_comes_out_neutral(name):
     """Two, three and four channels, in colour or grey, as far as half a DN allows."""
-    frame = simulator(MOSAICS[name])(chart("flat", size=(37, 29)))
+    frame = simulator(MOSAICS[name], scaling="normalised")(chart("flat", size=(37, 29)))
     assert frame.linear.shape == (3, 29, 37) and frame.rgb.shape == (29, 37, 3)
     # each channel of white is 1 after balance, and grey 0.18; interpolation rounds in float32, far below 1e-4
     assert np.abs(frame.linear / 0.18 - 1).max() <= 0.5 / (4095 / 10000 * frame.mean.min()) + 1e-4
@@ -215,7 +217,7 @@ def test_bits(bits):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_without_a_converter_values_are_not_rounded(device):
-    simulate = simulator(device=device, bits=32, gain=0.37, black_level=10)
+    simulate = simulator(device=device, bits=32, gain=0.37, black_level=10, scaling="normalised")
     mean = np.linspace(0, 12000, 1000, dtype=np.float32).reshape(20, 50)
     raw = simulate.draw_electrons(mean, 0.01)
     assert raw.dtype == np.float32
@@ -273,8 +275,8 @@ def test_noise_off_is_the_mean_rounded():
 
 def counting(monkeypatch):
     """List that grows by one each time the optics is computed."""
-    calls, rates = [], Simulator._rates
-    monkeypatch.setattr(Simulator, "_rates", lambda self, made: calls.append(1) or rates(self, made))
+    calls, rates = [], Imaging.rates
+    monkeypatch.setattr(Imaging, "rates", lambda self, made: calls.append(1) or rates(self, made))
     return calls
 
 
@@ -376,14 +378,18 @@ def test_gain_is_raised_where_the_time_is_too_short():
     free = simulator(exposure_time=None)(scene)
     for most, gain in ((16.0, 4.0), (2.0, 2.0)):
         automatic = AutoExposure(longest=free.exposure_time / 4, most_gain=most)
-        frame = simulator(exposure_time=None, auto_exposure=automatic)(scene)
+        frame, normalised = (simulator(exposure_time=None, auto_exposure=automatic, scaling=scaling)(scene)
+                             for scaling in ("exposure", "normalised"))
         assert frame.exposure_time == free.exposure_time / 4
         assert frame.camera.sensor.analog_gain == pytest.approx(gain, rel=1e-12)
         assert frame.report.camera["analog_gain"] == frame.camera.sensor.analog_gain
         # 95 % of the converter, or of what the gain is short of it; half a DN
         assert abs(int(frame.raw.max()) - 0.95 * 4095 * gain / 4) <= 0.51
-        # the gain is not part of the scene: the picture is as bright, within the rounding of the darker numbers
-        assert frame.linear.max() == pytest.approx(free.linear.max(), rel=1e-3)
+        # the picture is as dark as the gain falls short, within the rounding of the darker numbers, unless normalised:
+        # the gain is not part of the scene
+        assert frame.linear.max() == pytest.approx(free.linear.max() * gain / 4, rel=1e-3)
+        assert normalised.linear.max() == pytest.approx(simulator(exposure_time=None, scaling="normalised")(
+            scene).linear.max(), rel=1e-3)
 
 
 def test_exposure_value_is_reported():
@@ -721,7 +727,8 @@ def test_automatic_exposure_counts_the_dark_current():
 
 def test_an_analog_offset_is_black_in_the_picture():
     scene = chart("ramp", size=(32, 16))
-    plain, raised = (simulator(analog_offset=offset)(scene) for offset in (0.0, 500.0))
+    # normalised: the offset takes 500 e- of the range, and so of what the camera's exposure makes white
+    plain, raised = (simulator(analog_offset=offset, scaling="normalised")(scene) for offset in (0.0, 500.0))
     assert raised.raw.astype(int).min() - plain.raw.astype(int).min() >= 200  # 500 e- are 204.75 DN
     # either picture is rounded by half a DN; a DN of raw is `step` of the picture, in float32
     step = np.ptp(plain.linear) / np.ptp(plain.raw.astype(float))

@@ -12,15 +12,16 @@ from gpusim.cli import main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.content import Cube, Materials
 from gpusim.domain.errors import GpusimError, OutOfRange
 from gpusim.domain.pupil import Wavefront
-from gpusim.domain.scene import Cube, Materials, Scene
+from gpusim.domain.scene import Scene
 from gpusim.io.npz import write_npz
 from gpusim.io.scenes import open_scene
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
 from gpusim.planner.sampling import AREA, NODES, frame_start, pixel_taps
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 RATIOS = [1.25, 1.5, 2.0, 2.5, 3.0, np.pi, 4.0]
 FILLS = [1.0, 0.75]

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 import rawpy
 from devices import ALL, ALL_KINDS, DEVICES
+from PIL import Image
 from scipy.interpolate import CubicSpline
 
 import gpusim
-from gpusim.cli import main
+from gpusim.cli import _parser, main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.domain.noise import Noise
-from gpusim.scheduler import Simulator
+from gpusim.simulator import Simulator
 
 
 def run(capsys, *argv):
@@ -44,7 +45,7 @@ def test_mean_electrons_agree_with_the_reference(camera):
 
 def test_scene_forms_agree():
     """The same spectra as cube, basis and materials give the same electrons: three paths through the stages."""
-    from gpusim.domain.scene import Basis, Cube
+    from gpusim.domain.content import Basis, Cube
 
     scene = chart("colorchecker", size=(48, 32))
     content = scene.content
@@ -130,7 +131,9 @@ def test_colorchecker_colours(light, most):
     """
     size = (192, 128)
     scene = chart("colorchecker", size=size, light=light)
-    frame = Simulator(clean(open_camera("phone")), device="opencl")(scene)
+    camera = clean(open_camera("phone"))
+    camera = replace(camera, processor=replace(camera.processor, scaling="normalised"))
+    frame = Simulator(camera, device="opencl")(scene)
     shape = colour.SpectralShape(400, 700, 10)
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
     d65 = colour.SDS_ILLUMINANTS["D65"].copy().align(shape)
@@ -198,15 +201,11 @@ def test_simulate_writes_every_format(tmp_path, capsys):
     assert all(stage["ms"] > 0 for stage in facts["stages"])
     assert facts["error"]["p999_sigma"] <= 0.1 and facts["meets_tolerance"] is True  # the preset "video"
     assert 0.4 <= facts["prediction_ratio"] <= 2.5
-    from PIL import Image
-
     assert Image.open(outs[0]).size == (97, 65)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_photograph_on_every_device(shared_data, tmp_path, capsys, device):
-    from PIL import Image
-
     photo = tmp_path / "photo.png"
     Image.open(shared_data / "kodak" / "kodim23.png").crop((200, 100, 360, 220)).save(photo)
     status, _, _ = run(capsys, "simulate", photo, "--camera", "phone", "--device", device, "-o", tmp_path / "a.png",
@@ -216,6 +215,53 @@ def test_photograph_on_every_device(shared_data, tmp_path, capsys, device):
     # a picture of the photograph: noise and blur differ, the content does not (another picture correlates below 0.5)
     original = np.asarray(Image.open(photo), float)
     assert np.corrcoef(shown.ravel(), original.ravel())[0, 1] > 0.97
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("1/60", 1 / 60), ("0.01", 0.01), ("10ms", 0.01), ("500us", 5e-4),
+                                               ("2 s", 2.0), ("1e-3", 1e-3), (".5", 0.5), ("1/2.5", 0.4)])
+def test_exposure_times_as_they_are_written(text, seconds):
+    arguments = _parser().parse_args(["simulate", "flat", "--camera", "phone", "--exposure", text])
+    assert arguments.exposure == pytest.approx(seconds, rel=1e-15)
+
+
+def test_exposure_speed_lens_and_scaling_from_the_command_line(tmp_path, capsys):
+    """The same electrons, numbers and codes as of a camera with these properties; the report has them."""
+    scene = ("colorchecker", "--camera", "phone", "--size", "60x40", "--device", "opencl")
+    options = ("--exposure", "1/40", "--iso", "200", "--f-number", "2.8", "--focus", "0.05", "--scaling", "normalised")
+    report = tmp_path / "a.json"
+    status, out, _ = run(capsys, "simulate", *scene, *options, "-o", tmp_path / "a.npz", "-o", tmp_path / "a.png",
+                         "--report", report)
+    assert status == 0 and "exposure 25 ms, ISO 200, frame 0" in out
+    facts = json.loads(report.read_text())["camera"]
+    assert (facts["f_number"], facts["exposure_time_s"]) == (2.8, 0.025)
+    assert facts["iso"] == pytest.approx(200, rel=1e-12)
+    camera = open_camera("phone")
+    camera = replace(camera, optics=replace(camera.optics, f_number=2.8, object_distance=0.05),
+                     sensor=replace(camera.sensor, exposure_time=0.025, analog_gain=facts["analog_gain"]),
+                     processor=replace(camera.processor, scaling="normalised"))
+    frame = Simulator(camera, device="opencl")(chart("colorchecker", size=(60, 40)))
+    stored = np.load(tmp_path / "a.npz")
+    np.testing.assert_array_equal(stored["electrons"], frame.mean)
+    np.testing.assert_array_equal(stored["dn"], frame.raw)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), frame.rgb)
+
+
+def test_a_camera_with_a_time_is_metered_by_exposure_auto(tmp_path, capsys):
+    """A camera file's time gives way; with --iso automatic exposure takes more time, not more gain."""
+    text = (Path(gpusim.__file__).parent / "data" / "cameras" / "phone.toml").read_text()
+    path = tmp_path / "fixed.toml"
+    path.write_text(text.replace("bits = 10", "bits = 10\nexposure_time_ms = 1\n"
+                                 "auto_exposure = {longest_ms = 5, most_gain = 64}"))
+    found = []
+    for options in ((), ("--exposure", "auto"), ("--exposure", "auto", "--iso", 104), ("--focus", "inf")):
+        assert run(capsys, "simulate", "flat", "--camera", path, "--size", "16x8", "--device", "opencl", *options,
+                   "--report", tmp_path / "r.json")[0] == 0
+        facts = json.loads((tmp_path / "r.json").read_text())["camera"]
+        found.append((facts["exposure_time_s"], facts["analog_gain"] > 3, facts["iso"]))
+    base = found[0][2]
+    assert found[0] == found[3] == (0.001, False, pytest.approx(base))
+    assert found[1][:2] == (0.005, True) and found[1][2] > 3 * base
+    assert found[2] == (0.005, False, pytest.approx(104, rel=1e-12))
 
 
 def test_numbered_frames(tmp_path, capsys):
@@ -244,6 +290,19 @@ BAD = [
     (["flat", "--size", "0x10"], "0"),
     (["flat", "--band", "red"], "--band"),
     (["flat", "--frames", "0"], "--frames: '0': wanted a whole number"),
+    *((["flat", "--exposure", text], f"--exposure: '{text}': wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0")
+      for text in ("0", "-1", "1/0", "5min", "nan", "1e13", "1/60/2", "")),
+    (["flat", "--iso", "fast"], "--iso: 'fast': wanted a number above 0"),
+    (["flat", "--iso", "25"], "iso = 25: allowed is 51.95, this sensor's base speed, or more"),
+    (["flat", "--iso", "1e9"], "iso = 1e+09: allowed is 51.95, this sensor's base speed, or more, up to"),
+    (["flat", "--f-number", "0"], "--f-number: '0': wanted 0.1 .. 1000"),
+    (["flat", "--f-number", "0.05"], "optics.f_number = 0.05: allowed is 0.1 <= f_number <= 1000"),
+    (["flat", "--focus", "-1"], "--focus: '-1': wanted metres above 0, or inf"),
+    (["flat", "--focus", "nan"], "--focus: 'nan': wanted metres above 0, or inf"),
+    (["flat", "--focus", "0.004"], "optics.object_distance = 0.004 m: allowed is object_distance > focal_length"),
+    (["flat", "--scaling", "auto"], "--scaling: invalid choice: 'auto'"),
+    (["flat", "--camera", "scaled.toml"], "unknown processor.scaling 'automatic'; known: exposure, normalised"),
+    (["flat", "--camera", "psf.toml", "--focus", "2"], "--f-number, --focus: the camera's point spreads are measured"),
     (["flat", "--colour"], "unrecognized arguments: --colour"),
     (["flat", "--luminance", "1e300"], "luminance"),
     (["flat", "-o", "."], "unknown output format"),
@@ -292,12 +351,17 @@ def test_bad_input_is_one_line_and_status_2(arguments, words, capsys, tmp_path, 
 
 def make_bad_files():
     """Files that are well-formed and wrong, in the current folder."""
-    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="white-preserving"):
+    def camera(name, sensor="", noise="", n=2, pitch=1.4, bits=10, qe="'mt9v024'", color="white-preserving",
+               optics="", processor=""):
         Path(f"{name}.toml").write_text(
-            f"[optics]\nf_number = {n}\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = {pitch}\nfull_well_e = 600\n"
-            f"bits = {bits}\nqe = {qe}\n{sensor}\n[noise]\n{noise}\n[processor]\ncolor = '{color}'\n")
+            f"[optics]\nf_number = {n}\nfocal_length_mm = 4\n{optics}\n[sensor]\npixel_pitch_um = {pitch}\n"
+            f"full_well_e = 600\nbits = {bits}\nqe = {qe}\n{sensor}\n[noise]\n{noise}\n[processor]\ncolor = '{color}'\n"
+            f"{processor}\n")
 
     camera("xtrans", "cfa = 'x-trans'")
+    camera("scaled", processor="scaling = 'automatic'")
+    camera("psf", optics="psf = 'lens.npz'")
+    np.savez("lens.npz", wavelengths_nm=[400.0, 700.0], psf=np.ones((2, 5, 5)), spacing_um=0.7)
     camera("coarse", n=1, pitch=40)
     camera("plain", color="none")
     camera("stacked", "stacked = true")
@@ -327,8 +391,6 @@ def make_bad_files():
 
 def test_existing_output_survives_a_failure(tmp_path, capsys, monkeypatch):
     """The writer breaks off in the middle of the file."""
-    from PIL import Image
-
     def broken(self, path, **options):
         Path(path).write_bytes(b"half a pic")
         raise OSError("disk full")

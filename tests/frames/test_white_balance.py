@@ -14,7 +14,8 @@ from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.scheduler import Simulator
+from gpusim.program.shots import Shots
+from gpusim.simulator import Simulator
 
 METHODS = {"malvar": malvar, "adaptive": adaptive, "best": best, "learned": learned}
 LIGHTS = ("D65", "A", *(pytest.param(light, marks=pytest.mark.slow) for light in ("FL11", "daylight-10000K")))
@@ -73,11 +74,11 @@ def test_balanced_channels_come_nearer_to_a_sensor_without_mosaic(method, light)
     wanted = truth(scene).linear
     simulator = Simulator(noise_free(method), device="opencl")
     exposure = simulator.expose(scene)
-    developer, raw = simulator._developer(exposure), simulator.draw(exposure)
+    developer, raw = Shots(simulator, exposure).developer, simulator.draw(exposure)
     errors = []
     for white in (None, exposure.rendering.neutral):
         planes = developer.demosaicked(raw, white=white, blur=exposure.blur)
-        shown = simulator.device.numpy(developer.shown(planes, exposure.rendering)[0])
+        shown = simulator.device.numpy(developer.colored(planes, exposure.rendering))
         errors.append(np.mean((np.clip(shown, 0, 1) - np.clip(wanted, 0, 1))[:, 8:-8, 8:-8] ** 2))
     assert 10 * np.log10(errors[0] / errors[1]) > {"D65": 0.1, "A": 1.0}[light]
 
@@ -88,7 +89,7 @@ def test_bilinear_and_other_mosaics_take_no_notice():
         simulator = Simulator(camera, device="opencl")
         exposure = simulator.expose(scene)
         raw = simulator.draw(exposure)
-        planes = [np.array(simulator.device.numpy(simulator._developer(exposure).demosaicked(raw, white=white)))
+        planes = [np.array(simulator.device.numpy(Shots(simulator, exposure).developer.demosaicked(raw, white=white)))
                   for white in (None, exposure.rendering.neutral)]
         np.testing.assert_array_equal(*planes)
 
@@ -130,7 +131,7 @@ def test_a_channel_that_is_blind_to_the_light_is_not_amplified_without_limit():
     """A green line: red and blue have next to nothing of it."""
     simulator = Simulator(noise_free("best"), device="numpy")
     scene = chart("colorchecker", size=(24, 16))
-    developer = simulator._developer(simulator.expose(scene))
+    developer = Shots(simulator, simulator.expose(scene)).developer
     assert developer._balance(np.array([0.0, 1.0, 1e-9])) == (64.0, 64.0)
     assert developer._balance(np.array([0.5, 1.0, 0.25])) == (2.0, 4.0)
     assert developer._balance(np.array([1.0, 0.0, 0.3])) == (1.0, 1.0)

@@ -497,6 +497,7 @@ white_balance = "gray-world"
 color = "ridge"
 training = "munsell"
 target = "D50"
+scaling = "normalised"
 tone = [[0, 0], [0.5, 0.6], [1.2, 1]]
 [display]
 name = "projector"
@@ -521,7 +522,7 @@ luminance_cd_per_m2 = 48
     np.testing.assert_allclose(made.microlens.angles, [0, np.pi / 6], rtol=ULPS)
     assert (list(made.microlens.response), made.microlens.shift) == ([1, 0.6], 0.5)
     assert camera.processor == Processor("detect", True, 0.5, "adaptive", None, "gray-world", "ridge", "munsell", "D50",
-                                         ((0, 0), (0.5, 0.6), (1.2, 1)))
+                                         "normalised", ((0, 0), (0.5, 0.6), (1.2, 1)))
     assert camera.display == Display("projector", ((0.65, 0.33), (0.3, 0.6), (0.15, 0.05)), (0.33, 0.34), 2.4, 48.0)
 
 

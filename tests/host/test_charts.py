@@ -9,8 +9,8 @@ from gpusim.data.charts import CHARTS, chart, colorchecker_patches, half_plane_c
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.content import Materials
 from gpusim.domain.errors import DoesNotFit, OutOfRange, UnknownName
-from gpusim.domain.scene import Materials
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 
 

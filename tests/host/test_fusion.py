@@ -10,7 +10,8 @@ from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
-from gpusim.domain.scene import Cube, Scene, unit_light
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.airy import airy

@@ -13,8 +13,9 @@ from gpusim.data.charts import chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries, srgb_to_xyz
+from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadData, BadFile, DoesNotFit, GpusimError, OutOfRange, UnknownName
-from gpusim.domain.scene import Basis, Cube, Materials, Scene, unit_light
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.atomic import atomic_path
 from gpusim.io.dng import write_dng

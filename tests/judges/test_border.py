@@ -12,8 +12,9 @@ from endless import picture
 from scipy.ndimage import gaussian_filter
 
 import gpusim as gs
+from gpusim.domain.content import Cube
 from gpusim.domain.optics import Optics
-from gpusim.domain.scene import Cube, Scene
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.truth import true_mean
 

@@ -1,17 +1,22 @@
 """Every stage on every device against its float64 reference: the cases that `gpusim verify` runs."""
 
+import inspect
 import re
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from devices import BROKEN, DEVICES
 
 from gpusim.backends.probe import best
 from gpusim.backends.select import open_device
-from gpusim.kernels.stage import ROOT, stage_module, stage_names
+from gpusim.kernels.processor.linear import linear
+from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.stage import ROOT, public_function, stage_module, stage_names
 from gpusim.verify import verify
 
-QUICK = best()
+QUICK = best()["name"]
 ON_DEVICES = [pytest.param(name, marks=pytest.mark.quick) if name == QUICK else name for name in DEVICES]
 
 
@@ -44,6 +49,37 @@ def test_stage_is_complete(stage):
     launched = set(re.findall(r"device\.launch\(\s*\"[\w.]+\",\s*\"(\w+)\"", Path(f"{path}.py").read_text()))
     assert names[0] & names[1] or not launched
     assert launched <= names[0] & names[1]
+
+
+@pytest.mark.parametrize("stage", stage_names())
+def test_signature_is_that_of_a_call(stage):
+    """The device last and by keyword alone, the rest as the reference has it; every case's inputs fit."""
+    signature = inspect.signature(public_function(stage))
+    *others, device = signature.parameters.values()
+    assert (device.name, device.kind, device.default) == ("device", inspect.Parameter.KEYWORD_ONLY, "auto")
+    reference = getattr(import_module(f"gpusim.kernels.{stage}_ref"), stage.rpartition(".")[2])
+    assert str(signature.replace(parameters=others)) == str(inspect.signature(reference))
+    for case in stage_module(stage).cases():
+        signature.bind(**case.inputs, device="numpy")
+
+
+@pytest.mark.parametrize("device", ["numpy", QUICK])
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda raw, device: linear(raw, 0, 1, device=device), "too many positional arguments"),
+    (lambda raw, device: linear(raw, black_level=0, device=device), "missing a required argument: 'scale'"),
+    (lambda raw, device: linear(raw, black_level=0, scale=1, white=2, device=device), "unexpected keyword.*'white'"),
+], ids=["positional", "missing", "unknown"])
+def test_a_wrong_call_names_the_stage(call, words, device):
+    with pytest.raises(TypeError, match=rf"^processor\.linear: .*{words}.*; wanted linear\(raw, \*, ") as caught:
+        call(np.ones((2, 2), np.uint16), device)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_type_error_of_the_stage_itself_stays():
+    """Its arguments fit: what is wrong is a value, and the message is that of whoever found it."""
+    with pytest.raises(TypeError) as caught:
+        expect(np.ones((2, 2), np.float32), scale=object(), device="numpy")
+    assert "sensor.expect" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["opencl:99", "warp:cuda:99", "metal:0", "opencl:no-such-vendor"])

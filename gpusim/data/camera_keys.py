@@ -1,0 +1,287 @@
+"""Keys of camera files: their sections, the types and units of their values, and the fields they stand for."""
+
+import dataclasses
+import difflib
+
+import numpy as np
+
+from gpusim.data.mosaics import mosaic
+from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
+from gpusim.domain.errors import BadFile, UnknownName, near, shown
+from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.pupil import Pupil
+from gpusim.domain.sensor import Microlens
+
+
+class _Wanted(Exception):
+    """A value of the wrong type; the message says what was wanted."""
+
+
+def _number(per_unit=1.0):
+    """Return a reader of a number given in a unit of which there are `per_unit` in the unit used inside."""
+    def read(value):
+        if type(value) not in (int, float):
+            raise _Wanted("a number")
+        return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
+    return read
+
+
+def _number_or_auto(per_unit=1.0):
+    def read(value):
+        if value == "auto":
+            return None
+        try:
+            return _number(per_unit)(value)
+        except _Wanted:
+            raise _Wanted('a number or "auto"') from None
+    return read
+
+
+def _of(kind, wanted):
+    def read(value):
+        if type(value) is not kind:
+            raise _Wanted(wanted)
+        return value
+    return read
+
+
+def _mosaic(value):
+    if type(value) is str:
+        return mosaic(value)
+    if type(value) is not list or not value or not all(type(item) is str and item for item in value):
+        raise _Wanted('rows of letters, such as ["RG", "GB"], or a mosaic\'s name, such as "x-trans"')
+    return tuple(value)
+
+
+_text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(bool, "true or false")
+
+
+_MILLI, MICRO = 1e3, 1e6  # millimetres and micrometres in a metre
+
+
+def _numbers(count=None, per_unit=1.0):
+    def read(value):
+        if type(value) is not list or (count and len(value) != count):
+            raise _Wanted(f"a list of {count or 'the'} numbers")
+        return tuple(_number(per_unit)(item) for item in value)
+    return read
+
+
+def _pupil(value):
+    known = {"blades": _whole, "obscuration": _number(), "rotation_deg": _number(180 / np.pi)}
+    if type(value) is not dict or not value.keys() <= known.keys():
+        raise _Wanted("a table of blades, obscuration, rotation_deg")
+    return Pupil(**{key.removesuffix("_deg"): known[key](item) for key, item in value.items()})
+
+
+def _numbers_or_lists(value):
+    if type(value) is list and value and all(type(item) is list for item in value):
+        return tuple(_numbers()(item) for item in value)
+    return _numbers()(value)
+
+
+def _distortion(value):
+    models = {("k1", "k2", "radius_mm"): RadialPolynomial, ("k1", "k2", "k3", "p1", "p2", "radius_mm"): BrownConrady}
+    keys = tuple(value) if type(value) is dict else ()
+    if set(keys) == {"ideal_mm", "real_mm"}:
+        return RadialTable(*(np.array(_numbers(None, _MILLI)(value[key])) for key in ("ideal_mm", "real_mm")))
+    for known, model in models.items():
+        if keys and set(keys) == set(known):
+            return model(**{key.removesuffix("_mm"): _number(_MILLI if key == "radius_mm" else 1.0)(value[key])
+                            for key in known})
+    raise _Wanted("a table of " + ", or of ".join(", ".join(known) for known in (*models, ("ideal_mm", "real_mm"))))
+
+
+def _illumination(value):
+    if type(value) is list:
+        return _numbers()(value)
+    if type(value) is dict and value.keys() == {"heights", "values"}:
+        return tuple(np.array(_numbers()(value[key])) for key in ("heights", "values"))
+    if type(value) is not str:
+        raise _Wanted("a text, a list of coefficients or a table of heights and values")
+    return value
+
+
+def _microlens(value):
+    if type(value) is not dict or not {"angles_deg", "response"} <= value.keys() <= {"angles_deg", "response", "shift"}:
+        raise _Wanted("a table of angles_deg, response and shift")
+    return Microlens(np.radians(_numbers()(value["angles_deg"])), np.array(_numbers()(value["response"])),
+                     _number()(value.get("shift", 0.0)))
+
+
+def _map(value):
+    if type(value) is not list or not value or any(type(row) is not list or len(row) != len(value[0]) for row in value):
+        raise _Wanted("a list of equally long lists of numbers")
+    return np.array([_numbers()(row) for row in value])
+
+
+def _wholes(value):
+    if type(value) is not list or len(value) != 2 or any(type(item) is not int for item in value):
+        raise _Wanted("a list of 2 whole numbers")
+    return tuple(value)
+
+
+def _pairs(count):
+    def read(value):
+        if type(value) is not list or (count and len(value) != count):
+            raise _Wanted(f"a list of {count or 'the'} pairs of numbers")
+        return tuple(_numbers(2)(pair) for pair in value)
+    return read
+
+
+def _number_or_srgb(value):
+    if value == "srgb":
+        return value
+    try:
+        return _number()(value)
+    except _Wanted:
+        raise _Wanted('"srgb" or an exponent') from None
+
+
+def _auto_exposure(value):
+    known = {"method": ("method", _text), "level": ("level", _number()), "percentile": ("percentile", _number()),
+             "longest_ms": ("longest", _number(_MILLI)), "most_gain": ("most_gain", _number())}
+    if type(value) is not dict or not value.keys() <= known.keys():
+        raise _Wanted(f"a table of {', '.join(known)}")
+    return AutoExposure(**{known[key][0]: known[key][1](item) for key, item in value.items()})
+
+
+def _number_or_ktc(value):
+    if value == "kTC":
+        return value  # made a number when conversion gain and temperature are known
+    try:
+        return _number()(value)
+    except _Wanted:
+        raise _Wanted('a number or "kTC"') from None
+
+
+def _curve(value):
+    return value  # read later, when the folder and the mosaic are known
+
+
+def _number_or_curve(value):
+    return _number()(value) if type(value) in (int, float) else _curve(value)
+
+
+def _micrometres_or_curve(value):
+    return _number(1e6)(value) if type(value) in (int, float) else _curve(value)
+
+
+# [section] key: (field of the domain's class, reader)
+_OPTICS = {
+    "f_number": ("f_number", _number()),
+    "focal_length_mm": ("focal_length", _number(_MILLI)),
+    "model": ("model", _text),
+    "transmission": ("transmission", _number_or_curve),
+    "relative_illumination": ("relative_illumination", _illumination),
+    "object_distance_m": ("object_distance", _number()),
+    "pupil": ("pupil", _pupil),
+    "defocus_um": ("defocus", _micrometres_or_curve),
+    "defocus_diopters": ("diopters", _number()),
+    "zernike_waves": ("zernike", _numbers_or_lists),
+    "zernike_heights": ("heights", _numbers()),
+    "seidel_waves": ("seidel", _numbers(5)),
+    "reference_nm": ("reference", _number()),
+    "birefringence_um": ("birefringence", _numbers(2, MICRO)),
+    "diffuser_um": ("diffuser", _number(MICRO)),
+    "psf": ("psf", _text),
+    "distortion": ("distortion", _distortion),
+    "lateral_color": ("lateral_color", _number_or_curve),
+}
+_SENSOR = {
+    "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
+    "fill_factor": ("fill_factor", _number()),
+    "microlens": ("microlens", _microlens),
+    "cfa": ("cfa", _mosaic),
+    "stacked": ("stacked", _yes_no),
+    "photodetector_size": ("photodetector", _numbers(2)),
+    "photodetector_centre": ("centre", _numbers(2)),
+    "offset": ("offset", _numbers(2)),
+    "vignetting": ("vignetting", _map),
+    "qe": ("qe", _curve),
+    "photodetector": ("photodetector_curve", _curve),
+    "ir_cut": ("ir_cut", _curve),
+    "qe_ends": ("qe_ends", _text),
+    "exposure_time_ms": ("exposure_time", _number_or_auto(_MILLI)),
+    "auto_exposure": ("auto_exposure", _auto_exposure),
+    "row_time_us": ("row_time", _number(MICRO)),
+    "binning": ("binning", _wholes),
+    "binning_mode": ("binning_mode", _text),
+    "full_well_e": ("full_well", _number()),
+    "bits": ("bits", _whole),
+    "black_level_dn": ("black_level", _whole),
+    "gain_dn_per_e": ("gain", _number_or_auto()),
+    "conversion_gain_uv_per_e": ("conversion_gain", _number(MICRO)),
+    "adc_range_v": ("adc_range", _number()),
+    "analog_gain": ("analog_gain", _number()),
+    "analog_offset_e": ("analog_offset", _number()),
+}
+_NOISE = {
+    "photon": ("photon", _text),
+    "dark_current_e_per_s": ("dark_current", _number()),
+    "temperature_c": ("temperature", _number()),
+    "reference_temperature_c": ("reference_temperature", _number()),
+    "doubling_k": ("doubling", _number()),
+    **{f"{key}_e": (key, _number()) for key in ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu",
+                                               "telegraph")},
+    "reset_e": ("reset", _number_or_ktc),
+    "adc_dn": ("adc", _number()),
+    **{key: (key, _number()) for key in ("prnu", "row_prnu", "column_prnu", "hot_pixels", "dead_pixels",
+                                        "telegraph_pixels", "telegraph_switching")},
+    "hot_current_e_per_s": ("hot_current", _number()),
+    "seed": ("seed", _whole),
+}
+_PROCESSOR = {
+    **{key: (key, _text) for key in ("defects", "demosaic", "table", "white_balance", "color", "training", "target",
+                                     "scaling")},
+    "shading": ("shading", _yes_no),
+    "denoise": ("denoise", _number()),
+    "tone": ("tone", _pairs(None)),
+}
+_DISPLAY = {
+    "name": ("name", _text),
+    "primaries": ("primaries", _pairs(3)),
+    "white": ("white", _numbers(2)),
+    "curve": ("curve", _number_or_srgb),
+    "luminance_cd_per_m2": ("luminance", _number()),
+}
+SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
+
+
+def section_fields(path, table, section, cls=None):
+    """One section's keys as arguments of `cls`, whose fields without a default must be there.
+
+    path: of the camera file. table: as tomllib read it. Raises BadFile.
+    """
+    known = SECTIONS[section]
+    given = table.get(section, {})
+    if type(given) is not dict:
+        raise BadFile(path, f"{section} = {shown(given)}: wanted a section [{section}]")
+    fields = {}
+    for key, value in given.items():
+        if key not in known:
+            raise BadFile(path, f"unknown key {shown(key)} in [{section}]{_near_key(key, section)}")
+        field, read = known[key]
+        try:
+            fields[field] = read(value)
+        except _Wanted as wanted:
+            raise BadFile(path, f"[{section}] {key} = {shown(value)}: wanted {wanted}") from None
+        except UnknownName as error:
+            raise BadFile(path, f"[{section}] {key}: {error}") from None
+    required = {field.name for field in dataclasses.fields(cls)
+                if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
+    missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
+    if missing:
+        raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
+    return fields
+
+
+def _near_key(key, section):
+    """Hint at the nearest key of any section: noise has one of its own, apart from the sensor's."""
+    sections = {other: name for name, keys in SECTIONS.items() for other in keys} | dict.fromkeys(
+        SECTIONS[section], section)
+    found = (difflib.get_close_matches(key[:100], sections, n=1)  # no known key is as long, and its time grows
+             or [name for name in sections if key.endswith(f"_{name}")])
+    if not found or sections[found[0]] == section:
+        return near(key, SECTIONS[section])
+    return f"; did you mean {found[0]!r} in [{sections[found[0]]}]?"

@@ -1,0 +1,254 @@
+"""Samples of a scene and their spectra: a cube, a linear basis, or materials. What differs between them is here."""
+
+from dataclasses import dataclass, replace
+from math import prod
+from typing import ClassVar
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.spectrum import Spectrum
+
+NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """Spectra at wavelengths (L,) [nm] of samples on a grid (rows, cols): each is a mix of a few entries' spectra.
+
+    form: its name. samples: names of the arrays with a value for each sample, their last two axes rows and columns.
+    shared: names of those that all samples share.
+    """
+
+    wavelengths: np.ndarray
+    form: ClassVar[str]
+    samples: ClassVar[tuple[str, ...]]
+    shared: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def planes(self) -> np.ndarray:
+        """The array that is proportional to the light, shape (..., rows, cols)."""
+        return getattr(self, self.samples[-1])
+
+    @property
+    def labels(self) -> np.ndarray | None:
+        """The one entry that each sample has, shape (rows, cols); None where it may mix them."""
+        return None
+
+    @property
+    def entry_spectra(self) -> np.ndarray:
+        """Spectrum of one unit of each entry, float64 (entries, L)."""
+        return np.asarray(getattr(self, self.shared[0]), np.float64)
+
+    @property
+    def is_spectral(self) -> bool:
+        """Whether the entries are the wavelengths themselves."""
+        return not self.shared
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of samples."""
+        return self.planes.shape[-2:]
+
+    @property
+    def nbytes(self) -> int:
+        """What its samples take on a device [byte]."""
+        return 4 * self.planes.size + (0 if self.labels is None else 2 * self.labels.size)
+
+    @property
+    def lit(self) -> np.ndarray:
+        """Whether there may be light at each wavelength, bool (L,)."""
+        return np.asarray(self.entry_spectra.any(axis=0))
+
+    def with_planes(self, planes):
+        """The same with other `planes`."""
+        return replace(self, **{self.samples[-1]: planes})
+
+    def take(self, rows, cols):
+        """Content of which each sample is that at (rows, cols), two arrays of one shape."""
+        return replace(self, **{name: getattr(self, name)[..., rows, cols] for name in self.samples})
+
+    def behind(self, front, mask):
+        """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""
+        return replace(self, **{name: np.where(mask, getattr(front, name), getattr(self, name))
+                                for name in self.samples})
+
+    def scaled(self, factor: float):
+        """Content that is `factor` times as bright."""
+        return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) * factor})
+
+    def divided(self, light):
+        """Reflectances from radiances in a light of this spectrum, shape (L,)."""
+        return replace(self, **{self.shared[0]: getattr(self, self.shared[0]) / light})
+
+    def is_like(self, other) -> bool:
+        """Whether the other is of the same form, wavelengths and entries."""
+        return type(self) is type(other) and all(np.array_equal(getattr(self, name), getattr(other, name))
+                                                 for name in ("wavelengths", *self.shared))
+
+    def mixed(self, rates, rows=slice(None)):
+        """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols)."""
+        return np.tensordot(rates, self.planes[:, rows].astype(np.float64), 1)
+
+    def bands_at(self, rows) -> np.ndarray:
+        """Spectra of whole rows, float64 (L, rows, cols)."""
+        return self.mixed(self.entry_spectra.T, rows)
+
+    def used(self, rows=slice(None)):
+        """How much of each entry is in whole rows, all samples added up, shape (entries,)."""
+        return self.planes[:, rows].sum(axis=(1, 2), dtype=np.float64)
+
+    def mean_spectrum(self) -> np.ndarray:
+        """Mean of all samples' spectra, shape (L,)."""
+        return self.used() @ self.entry_spectra / prod(self.shape)
+
+    def weighted(self, weights, window=(slice(None), slice(None))):
+        """Sums over wavelength by `weights` (C, L), of the samples in a window: float64 (C, rows, cols)."""
+        table = weights @ self.entry_spectra.T
+        total = np.zeros((len(weights), *self.planes[0][window].shape))
+        for plane, column in zip(self.planes, table.T, strict=True):  # one by one: a cube in float64 is large
+            total += column[:, None, None] * plane[window]
+        return total
+
+    def brightness(self, total) -> np.ndarray:
+        """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols)."""
+        return np.tensordot((self.entry_spectra @ total).astype(np.float32), self.planes, 1)
+
+    def points(self, rows, cols):
+        """Single samples at `rows`, `cols` (N,): spectra (K, L), the one that each has, and how strong it is in it."""
+        spectra = self.planes[:, rows, cols].T.astype(np.float64) @ self.entry_spectra
+        return spectra, np.arange(len(rows)), np.ones(len(rows))
+
+    def check(self, name: str):
+        """Refuse what no camera could see: wrong shapes, NaN, negative light, unsorted wavelengths.
+
+        Raises BadData, OutOfRange.
+        """
+        self._check_shapes(name)
+        if self.planes.size == 0:
+            raise BadData(f"{name}: zero-size scene {self.planes.shape}")
+        Spectrum(self.wavelengths, np.zeros(len(self.wavelengths)), name)  # checks the wavelengths
+        for label, array in (("samples", self.planes), *(("spectra", getattr(self, key)) for key in self.shared)):
+            low, high = float(array.min()), float(array.max())
+            if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
+                raise BadData(f"{name}: NaN or infinite {label}")
+            if low < 0:
+                self._check_negative(name, label, low)
+
+    def _check_shapes(self, name):
+        raise NotImplementedError
+
+    def _check_negative(self, name, label, low):
+        raise BadData(f"{name}: negative {label} (lowest {low:.3g}); radiance cannot be negative")
+
+
+@dataclass(frozen=True, eq=False)
+class Cube(Content):
+    """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm]."""
+
+    values: np.ndarray
+    form: ClassVar[str] = "cube"
+    samples: ClassVar[tuple[str, ...]] = ("values",)
+
+    @property
+    def entry_spectra(self):
+        return np.eye(len(self.wavelengths))
+
+    @property
+    def lit(self):
+        return self.values.any(axis=(1, 2))
+
+    def scaled(self, factor):
+        return replace(self, values=self.values * np.float32(factor))
+
+    def divided(self, light):
+        return replace(self, values=self.values / np.asarray(light, np.float32)[:, None, None])
+
+    def bands_at(self, rows):
+        return self.values[:, rows].astype(np.float64)
+
+    def points(self, rows, cols):
+        return self.values[:, rows, cols].T.astype(np.float64), np.arange(len(rows)), np.ones(len(rows))
+
+    def brightness(self, total):
+        return np.tensordot(np.asarray(total, np.float32), self.values, 1)
+
+    def _check_shapes(self, name):
+        if self.values.ndim != 3 or len(self.values) != len(self.wavelengths):
+            raise BadData(f"{name}: cube of shape {self.values.shape}, wanted ({len(self.wavelengths)}, rows, cols)")
+
+
+@dataclass(frozen=True, eq=False)
+class Basis(Content):
+    """A linear model: pixel spectrum = sum_k coefficients[k] basis[k].
+
+    coefficients (K, rows, cols) float32; basis (K, L) at wavelengths (L,) [nm].
+    """
+
+    coefficients: np.ndarray
+    basis: np.ndarray
+    form: ClassVar[str] = "basis"
+    samples: ClassVar[tuple[str, ...]] = ("coefficients",)
+    shared: ClassVar[tuple[str, ...]] = ("basis",)
+
+    def check(self, name):
+        super().check(name)
+        # coefficients may be negative, the spectra that they make may not
+        lowest, highest = 0.0, 0.0
+        for row in np.moveaxis(self.coefficients, 1, 0):  # row by row: the whole would be a cube
+            spectra = self.basis.T @ row
+            lowest, highest = min(lowest, float(spectra.min())), max(highest, float(spectra.max()))
+        if lowest < -NEGATIVE * highest or highest == 0 > lowest:
+            raise BadData(f"{name}: negative spectra (lowest {lowest:.3g}, highest {highest:.3g}); radiance cannot be "
+                          "negative")
+
+    def _check_shapes(self, name):
+        if self.coefficients.ndim != 3 or self.basis.shape != (len(self.coefficients), len(self.wavelengths)):
+            raise BadData(f"{name}: basis {self.basis.shape} does not match coefficients {self.coefficients.shape} and "
+                          f"{len(self.wavelengths)} wavelengths")
+
+    def _check_negative(self, name, label, low):
+        pass
+
+
+@dataclass(frozen=True, eq=False)
+class Materials(Content):
+    """One material per pixel: pixel spectrum = shading * spectra[ids].
+
+    ids (rows, cols) uint8 or uint16; shading (rows, cols) float32; spectra (M, L) at wavelengths (L,) [nm].
+    """
+
+    ids: np.ndarray
+    shading: np.ndarray
+    spectra: np.ndarray
+    form: ClassVar[str] = "materials"
+    samples: ClassVar[tuple[str, ...]] = ("ids", "shading")
+    shared: ClassVar[tuple[str, ...]] = ("spectra",)
+
+    @property
+    def labels(self):
+        return self.ids
+
+    def mixed(self, rates, rows=slice(None)):
+        return rates[:, self.ids[rows]] * self.shading[rows]
+
+    def used(self, rows=slice(None)):
+        return np.bincount(self.ids[rows].ravel(), self.shading[rows].ravel(), len(self.spectra))
+
+    def weighted(self, weights, window=(slice(None), slice(None))):
+        return (weights @ self.entry_spectra.T)[:, self.ids[window]] * self.shading[window]
+
+    def brightness(self, total):
+        return (self.spectra @ total).astype(np.float32)[self.ids] * self.shading
+
+    def points(self, rows, cols):
+        used, light = np.unique(self.ids[rows, cols], return_inverse=True)
+        return self.entry_spectra[used], light, self.shading[rows, cols].astype(np.float64)
+
+    def _check_shapes(self, name):
+        if self.ids.ndim != 2 or self.shading.shape != self.ids.shape:
+            raise BadData(f"{name}: ids {self.ids.shape} and shading {self.shading.shape} must be one (rows, cols)")
+        if self.spectra.ndim != 2 or self.spectra.shape[1] != len(self.wavelengths):
+            raise BadData(f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths")
+        if self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):
+            raise OutOfRange(f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}")

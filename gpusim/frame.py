@@ -1,0 +1,85 @@
+"""What a simulation gives: the noise-free capture of a scene, and one picture."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.camera import Camera
+from gpusim.io.frames import write_frame
+from gpusim.planner.plan import Plan
+from gpusim.planner.rendering import Rendering
+from gpusim.report import Report
+
+ON_DEVICE = ("mean", "expected")  # of an exposure
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """The noise-free capture of a scene: computed once, drawn from many times.
+
+    plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
+    mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
+        cols) [e-].
+    expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
+    exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
+        for the light that is known or assumed.
+    blur: of the lens as a Gaussian [pixel], gains: of the shading correction at its nodes, where the camera uses them.
+    ms: milliseconds per stage that it took; wall_ms: in all, planning included. device: where the electrons are.
+    It is pickled with their values and the device's name, which is opened where it is loaded.
+    """
+
+    plan: Plan
+    camera: Camera
+    mean: Any
+    expected: Any
+    exposure_time: float
+    gain: float
+    rendering: Rendering
+    blur: float = 0.0
+    gains: np.ndarray | None = None
+    ms: dict = dataclasses.field(default_factory=dict)
+    wall_ms: float = 0.0
+    device: Device = dataclasses.field(default_factory=Device)
+
+    def layered(self, raw):
+        """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
+        return raw.reshape(*raw.shape[:-2], *self.mean.shape[:-2], -1, raw.shape[-1])
+
+    def __getstate__(self):
+        return self.__dict__ | {name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state, **{name: state["device"].array(state[name], state[name].dtype)
+                                       for name in ON_DEVICE})
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One simulated picture.
+
+    camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated, the
+        white that of the picture where the camera estimates it.
+    mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
+    raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
+    blur, gains: as of the exposure.
+    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
+        rows, cols). rgb: display codes, uint8 (rows, cols, 3).
+    """
+
+    camera: Camera
+    exposure_time: float
+    rendering: Rendering
+    mean: np.ndarray
+    raw: np.ndarray
+    linear: np.ndarray
+    rgb: np.ndarray
+    report: Report
+    blur: float = 0.0
+    gains: np.ndarray | None = None
+
+    def save(self, path):
+        """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""
+        write_frame(path, self)

@@ -1,0 +1,172 @@
+"""From a scene's samples to the electrons that its light makes, as a plan says."""
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.camera import Camera
+from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.field import field, transfer
+from gpusim.kernels.optics.gain import gain
+from gpusim.kernels.optics.mosaic import mosaic
+from gpusim.kernels.optics.nearfar import nearfar
+from gpusim.kernels.optics.sample import sample
+from gpusim.kernels.optics.splat import splat
+from gpusim.kernels.optics.warp import warp
+from gpusim.kernels.sensor.expose import expose
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.kernels.spectral.materials import materials
+from gpusim.planner.highlights import point_kernels
+from gpusim.planner.plan import Plan
+from gpusim.program.kept import Kept
+from gpusim.program.tables import LensTables
+
+WHOLE = (slice(None), slice(None))
+
+
+class Imaging:
+    """The lens and the pixels of a camera on a device."""
+
+    def __init__(self, camera: Camera, device: Device, kept: Kept):
+        self.camera, self.device, self._kept = camera, device, kept
+        self.tables = LensTables(camera, device, kept)
+
+    def light(self, made: Plan):
+        """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
+        table = None if made.content.is_spectral else made.content.entry_spectra.T
+        return self._warped(made, self._planes(made.content, table, WHOLE))
+
+    def _warped(self, made: Plan, planes):
+        """Planes as the distortion puts them."""
+        if made.warp is None:
+            return planes
+        shape = made.scene.samples if made.gains is None else planes.shape[1:]
+        border = "edge" if made.scene.border == "scene" else made.scene.border
+        return warp(planes, self.device.array(made.warp.nodes[None]), shape, border, made.warp.method,
+                    device=self.device)
+
+    def rates(self, made: Plan, kept: Kept | None = None):
+        """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
+
+        kept: where the planes before the blur are kept for the next plan of the same scene.
+        """
+        device, content, margin = self.device, made.content, made.scene.margin
+        cfa = self.camera.sensor.cfa_indices
+        border = "edge" if made.scene.border == "scene" else made.scene.border
+        # without blur or distortion nothing outside the frame is needed
+        window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
+        planes = (kept or Kept())("planes before the blur", (content, made.table, window), lambda: self._planes(
+            content, made.table, (window, window)))
+        planes = self._warped(made, planes)
+        if made.gains is None:
+            return self.pixels(made, planes), cfa
+        if made.folded:
+            rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, border, made.period, margin=margin,
+                           device=device)
+        else:
+            # spare samples around the scene's own: the crop of the blur begins outside of them
+            if made.fft_free:
+                rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
+                if margin:
+                    rates = device.array(np.ascontiguousarray(device.numpy(rates)[:, margin:-margin, margin:-margin]))
+            elif made.depth is None:
+                rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
+                             margin=margin - made.spare, device=device)
+            else:
+                rates = self._by_depth(made, planes, border)
+            if made.varying is not None:
+                rates = self._with_field(made, planes, rates, border)
+            if made.taps is not None:
+                if made.highlights is not None:
+                    rates = self._with_highlights(made, rates, None)
+                return self.pixels(made, rates), cfa
+            if made.highlights is None:
+                return rates, cfa
+            rates = expose(rates, cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+        if made.highlights is not None:
+            rates = self._with_highlights(made, rates, cfa)
+        return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
+
+    def _by_depth(self, made: Plan, planes, border):
+        """The channels, each point blurred as its distance demands, nearer layers laid over farther ones.
+
+        A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the
+        channel sees of a wavelength's kernel. Things go on outside the frame even where no light comes from there.
+        """
+        depth, device, margin = made.depth, self.device, made.scene.margin - made.spare
+        assert depth is not None
+        channels = len(made.weights)
+        white = made.weights / np.maximum(made.weights.sum(axis=1, keepdims=True), 1e-300)
+        lights, alphas, layers = [], [], []
+        for layer in range(depth.layers):
+            content, coverage, confusion = depth.sheet(layer, made.content)
+            own = planes if content is made.content else self._planes(content, made.table, WHOLE)
+            for kernel, share in depth.shares(coverage, confusion):
+                bands = self.tables.all_bands(made, depth.distances[kernel])
+                share = device.array(share[None])
+                light = blur(gain(own, share, device=device), self.tables.combined(made, bands), made.gains, border,
+                             made.period, margin=margin, device=device)
+                cover = integrate(bands, device.array(white), device=device)
+                cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
+                alpha = blur(share, cover, np.ones((channels, 1), np.float32), "edge" if border == "zero" else border,
+                             made.period, margin=margin, device=device)
+                lights.append(light)
+                alphas.append(alpha)
+                layers.append(layer)
+        return composite(device.stack(lights), device.stack(alphas), layers, device=device)
+
+    def _with_field(self, made: Plan, planes, rates, border):
+        """The channels blurred as on the axis, with what the blur is more elsewhere."""
+        assert made.varying is not None
+        varying = made.varying
+        inputs, tables = self._kept("field", (varying.kernels, *varying.edges), lambda: (
+            {name: value if name == "edges" else self.device.array(value, np.int32 if name == "index" else np.float32)
+             for name, value in varying.stage_inputs.items()},
+            transfer(self.device, varying.kernels, varying.edges)))
+        return field(planes, gains=made.gains, border=border, margin=made.scene.margin - made.spare, base=rates,
+                     tables=tables, device=self.device, **inputs)
+
+    def pixels(self, made: Plan, rates):
+        """Channels at the pixels from channels at the scene's samples."""
+        if made.taps is None:
+            return rates
+        rows, cols = made.taps
+        return sample(rates, rows.start, rows.weights, cols.start, cols.weights, device=self.device)
+
+    def _with_highlights(self, made: Plan, rates, cfa):
+        """The mosaic, or every channel of the samples, with the plan's highlights added."""
+        lights, device = made.highlights, self.device
+        assert lights is not None
+        reach = int(lights.reach.max())
+        aperture, _ = self.tables.grid(made.scene.samples_per_pixel)[1]  # highlights are split off for squares only
+        kernels = self._kept("points", (made.q, aperture, reach), lambda: point_kernels(made.q, aperture, reach))
+        weights = lights.spectra[:, None] * (made.weights / made.flat)  # (kernels, channels, L)
+        cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
+        places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
+        shape = kernels.step, kernels.parts, kernels.spread
+        if made.taps is not None:
+            return device.stack([splat(device.part(rates, c), np.zeros((1, 1), np.int32), places, lights.strength,
+                                       cores[:, [c]], profiles[:, [c]], *shape, device=device)
+                                 for c in range(rates.shape[0])])
+        return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
+                     device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
+
+    def _planes(self, content, table, window):
+        """The planes that are transformed, or the channels themselves, as an array of the device."""
+        device = self.device
+        stored = device.array(content.planes[(..., *window)])
+        if content.labels is not None:
+            ids = device.array(content.labels[window], np.uint16)
+            return materials(ids, stored, device.array(table), device=device)
+        return stored if table is None else integrate(stored, device.array(table), device=device)
+
+    def exposed(self, made: Plan, rates, exposure_time):
+        """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
+        planes, cfa = rates
+        if made.gain is not None:
+            planes = gain(planes, self.device.array(made.gain[None]), device=self.device)
+        if not self.camera.sensor.stacked:
+            return expose(planes, cfa, exposure_time, made.slope, device=self.device)
+        layers = [expose(planes, np.full((1, 1), channel, np.int32), exposure_time, made.slope, device=self.device)
+                  for channel in range(planes.shape[0])]
+        return self.device.stack(layers)

@@ -1,0 +1,113 @@
+"""A scene in front of a camera: what each step gives is kept until something before it changes."""
+
+import dataclasses
+import time
+
+from gpusim.domain.exposure import checked_time
+from gpusim.domain.scene import Scene
+from gpusim.frame import Exposure, Frame
+from gpusim.planner.facts import Facts
+from gpusim.planner.plan import Plan
+from gpusim.planner.rendering import rendering
+from gpusim.planner.shading import phase_gains, relative_response, shading_gains
+from gpusim.program.kept import Kept
+from gpusim.program.shots import Shots
+
+SAME = object()  # of `Program.update`: as it was
+
+
+class Program:
+    """Frames of one scene by a Simulator, for previews and loops in which one thing changes at a time.
+
+    exposure_time, gain: as for `Simulator.expose`. A step runs where something before it has changed: another tone
+    curve encodes anew, another read noise is drawn and processed, another f-number blurs. Scenes count as unchanged
+    while they are the same object: give a new Scene where its arrays have been written to.
+    Arrays that it gives are the device's: read, do not write them.
+    """
+
+    def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
+        self.simulator, self.scene = simulator, scene
+        self._exposure_time, self._gain = checked_time(exposure_time), gain
+        self._kept = Kept()
+
+    def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
+        """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
+
+        Raises as Simulator does, and keeps what it was then.
+        """
+        simulator = self.simulator if camera is SAME else self.simulator.update(camera)
+        seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
+        self.simulator, self._exposure_time = simulator, seconds
+        self.scene = self.scene if scene is SAME else scene
+        self._gain = self._gain if gain is SAME else gain
+        return self
+
+    @property
+    def plan(self) -> Plan:
+        """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange."""
+        facts = self._kept("facts", self.scene, lambda: Facts.of(self.scene))
+        by = self.scene, self.simulator.planned_by
+        return self._kept("plan", by, lambda: self.simulator.plan(self.scene, facts))
+
+    @property
+    def exposure(self) -> Exposure:
+        """Mean electrons of the scene, with all that frames of it need. Raises BadData, DoesNotFit, OutOfRange."""
+        simulator, start = self.simulator, time.perf_counter()
+        plan = self.plan
+        with simulator.timed() as ms:
+            rates = self._kept("rates", plan, lambda: simulator.imaging.rates(plan, self._kept))
+            per_second = lambda: self._kept("per second", plan, lambda: simulator.imaging.exposed(plan, rates, 1.0))  # noqa: E731
+            metering = plan, simulator.metered_by, self._exposure_time, self._gain
+            seconds, gain = self._kept("metered", metering, lambda: simulator.metered(
+                self._exposure_time, self._gain, per_second))
+            mean = self._kept("mean", (plan, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
+        exposure = exposed(simulator, plan, mean, seconds, gain, ms, self._kept)
+        return dataclasses.replace(exposure, wall_ms=1e3 * (time.perf_counter() - start))
+
+    @property
+    def shots(self) -> Shots:
+        """Frames of the exposure."""
+        return Shots(self.simulator, self.exposure, self._kept)
+
+    def raw(self, *, seed: int = 0, frame: int = 0):
+        """Digital numbers (rows, cols) of one frame, on the device."""
+        return self.shots.raw(seed, frame)
+
+    def codes(self, *, seed: int = 0, frame: int = 0):
+        """Display codes (rows, cols, 3) of one frame, on the device."""
+        shots = self.shots
+        return shots.codes(shots.raw(seed, frame))
+
+    def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
+        """One picture with its report."""
+        return self.shots.frame(seed=seed, frame=frame)
+
+
+def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, kept: Kept) -> Exposure:
+    """The exposure of mean electrons, an array of the device. kept: what was made before for exposures alike."""
+    sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
+    camera = dataclasses.replace(simulator.camera, sensor=readout.operated(gain))
+    with simulator.timed() as more:
+        expected = kept("expected", (mean, seconds, readout.chip), lambda: readout.expected(mean, seconds))
+    ms = {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}}
+    gains = None
+    if processor.shading:
+        falls = plan.scene.shape, plan.slope, simulator.planned_by
+        gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
+    colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
+              sensor.stacked, camera.sensor.saturation, camera.sensor.gain_dn_per_electron, camera.sensor.white_level,
+              camera.sensor.dark_level, sensor.auto_exposure, dataclasses.replace(processor, tone=()), camera.display,
+              seconds, readout.pixels)
+    colored = kept("rendering", colors, lambda: rendering(
+        plan, camera, seconds, readout.pixels, simulator.kept))
+    blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
+    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, ms, device=simulator.device)
+
+
+def _shading(simulator, plan):
+    """Gains of the shading correction for each pixel of the mosaic's period, see `Developer.demosaicked`."""
+    readout = simulator.readout
+    response, period = relative_response(plan), readout.output.cfa_indices.shape
+    if simulator.camera.sensor.binning == (1, 1):
+        return shading_gains(response, period[0] * period[1])
+    return phase_gains(readout.mean(simulator.device.array(response)), period)[0]

@@ -1,0 +1,116 @@
+"""Transfer tables of a camera's lens, integrated over its pixels."""
+
+import numpy as np
+
+from gpusim.backends import Device, open_device
+from gpusim.domain.camera import Camera
+from gpusim.kernels.optics.airy import airy
+from gpusim.kernels.optics.pupil import pupil
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.planner.nearfar import kernel_of, levels_of
+from gpusim.planner.plan import Plan
+from gpusim.planner.psf import psf_tables
+from gpusim.program.kept import Kept
+
+FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
+
+
+class LensTables:
+    """Tables of a camera on a device, each kept until lens, pixels, wavelengths or period change."""
+
+    def __init__(self, camera: Camera, device: Device, kept: Kept):
+        self.camera, self.device, self._kept = camera, device, kept
+        sensor = camera.sensor
+        self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
+
+    def sampled(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
+        """Transfer tables for the planner, float64."""
+        pitch = self.camera.sensor.pixel_pitch / finer
+        key = self._lens, q, aperture, displacement
+        return self._kept(f"sampled {rows}x{cols} {finer:g}", key, lambda: self.bands(
+            q, pitch, aperture, rows, cols, open_device("numpy"), whole=False, displacement=displacement))
+
+    def grid(self, samples_per_pixel):
+        """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
+
+        Where they are the pixels', over the pixel's aperture; else over the whole cell, which the pixels then share.
+        """
+        sensor = self.camera.sensor
+        return (sensor.pixel_pitch / samples_per_pixel,
+                tuple(side / sensor.pixel_pitch for side in sensor.aperture) if samples_per_pixel == 1 else (1.0, 1.0))
+
+    def transfer(self, made: Plan):
+        """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
+        assert made.gains is not None  # a plan with blur
+        return self._kept("transfer", self._key(made), lambda: self.combined(made, self.all_bands(made)))
+
+    def _key(self, made):
+        """What the tables of a plan are made of."""
+        return self._lens, made.q, made.period, made.gains.shape, made.transfers
+
+    def levels(self, made: Plan):
+        """The plan's kernels as pyramids."""
+        reach = min(FFT_FREE_REACH, max(made.scene.samples))
+        period = (2 * reach + 2,) * 2
+
+        def pyramids():
+            bands = self.bands(made.q, *self.grid(made.scene.samples_per_pixel), *period, self.device)
+            tables = self.device.numpy(self.combined(made, bands))
+            return levels_of([[kernel_of(table, period, reach) for table in group] for group in tables])
+
+        return self._kept("levels", (reach, *self._key(made)), pyramids)
+
+    def bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True, displacement=None):
+        """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
+
+        q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their height and width
+        [sample]. distance: of the object [m], that in focus if not given. whole: for a convolution, see `psf_tables`.
+        displacement: of the apertures from the samples; the sensor's, where the samples are the pixels', if not given.
+        """
+        optics, sensor = self.camera.optics, self.camera.sensor
+        if displacement is None:
+            displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
+        if optics.psf is not None:
+            return device.array(psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows,
+                                           cols, finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole,
+                                           displacement=displacement))
+        if optics.is_ideal and distance is None and not any(displacement):
+            return airy(device.array(q), aperture, rows, cols, device=device)
+        waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)
+        return pupil(optics.pupil, waves, device.array(q), aperture, rows, cols, device=device,
+                     spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch,
+                     displacement=displacement)
+
+    def all_bands(self, made: Plan, distance=None):
+        """Transfer tables of every wavelength of a plan, as the stages take them."""
+        (pitch, aperture), (rows, cols) = self.grid(made.scene.samples_per_pixel), made.period
+        return self.bands(made.q, pitch, aperture, rows, cols, self.device, distance)
+
+    def deviation(self, made: Plan) -> float:
+        """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
+        if made.gains is None:
+            return 0.0
+        sensor, q = self.camera.sensor, made.q / made.scene.samples_per_pixel
+        aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+
+        def deviation():
+            # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
+            tables = np.asarray(self.bands(4 * q, sensor.pixel_pitch / 4, tuple(4 * side for side in aperture), 32, 32,
+                                           open_device("numpy"), whole=False, displacement=(0.0, 0.0)))
+            if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
+                tables = np.ascontiguousarray(tables).view(np.result_type(tables.dtype, np.complex64))
+            light = made.weights.sum(axis=0)
+            passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
+                      for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]
+            return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
+
+        return self._kept("deviation", (self._lens, q, made.weights), deviation)
+
+    def combined(self, made, bands):
+        """Transfer tables of the plan's planes from those of its wavelengths."""
+        device = self.device
+        if made.transfers is None:
+            return device.reshape(bands, (1, *bands.shape))
+        channels, planes, count = made.transfers.shape
+        tables = integrate(bands, device.array(made.transfers.reshape(channels * planes, count)), device=device)
+        return device.reshape(tables, (channels, planes, *bands.shape[1:]))

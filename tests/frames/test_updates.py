@@ -1,0 +1,135 @@
+"""A program runs what is behind a change, and gives what a new Simulator gives, bit for bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import ALL_KINDS, KINDS
+
+import gpusim as gs
+from gpusim.domain.errors import OutOfRange
+from gpusim.program.kept import same
+
+SIZE = (96, 64)
+
+
+def camera_with(base, **parts):
+    """A camera whose parts have other settings, `noise` that of its sensor."""
+    for part, settings in parts.items():
+        if part == "noise":
+            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
+        else:
+            base = replace(base, **{part: replace(getattr(base, part), **settings)})
+    return base
+
+
+BASE = camera_with(gs.open_camera("phone"), processor={"demosaic": "adaptive"}, sensor={"exposure_time": 0.01},
+                   noise={"prnu": 0.01, "dsnu": 1.0, "read": 2.0})
+ENCODE = {"display.encode"}
+COLOUR = {"processor.color", *ENCODE}
+PROCESS = {"processor.adaptive", *COLOUR}
+READ = {"sensor.noise", *PROCESS}
+EXPOSE = {"sensor.expose", "sensor.expect", *READ}
+BLUR = {"optics.airy", "optics.mosaic", *EXPOSE}
+CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
+    "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
+    "color": ({"processor": {"training": "munsell"}}, COLOUR),
+    "demosaic": ({"processor": {"demosaic": "malvar"}}, {"processor.malvar", *COLOUR}),
+    "read noise": ({"noise": {"read": 9.0}}, READ),
+    "offsets": ({"noise": {"dsnu": 5.0}}, {"sensor.pattern", *READ}),
+    "gain": ({"sensor": {"analog_gain": 4.0}}, READ),
+    "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.expect", *READ}),
+    "exposure": ({"sensor": {"exposure_time": 0.03}}, EXPOSE),
+    "f-number": ({"optics": {"f_number": 4.0}}, BLUR),
+    "nothing": ({}, set()),
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return gs.chart("deadleaves", size=SIZE)
+
+
+def numpy(device, *arrays):
+    return [np.array(device.numpy(array)) for array in arrays]
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_is_behind_a_change_runs_and_nothing_else(device, name, scene):
+    parts, behind = CHANGES[name]
+    program = gs.Simulator(BASE, device=device).program(scene)
+    program.codes(seed=3)
+    changed = camera_with(BASE, **parts)
+    program.update(camera=changed)
+    with program.simulator.device.timed() as ms:
+        codes, raw = program.codes(seed=3), program.raw(seed=3)
+    assert set(ms) == behind
+    fresh = gs.Simulator(changed, device=device)(scene, seed=3)
+    found = numpy(program.simulator.device, codes, raw)
+    np.testing.assert_array_equal(found[0], fresh.rgb)
+    np.testing.assert_array_equal(found[1], fresh.raw)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_what_is_given_to_the_program_itself(device, scene):
+    """Another seed, frame, exposure time, gain or scene; and the first one again."""
+    simulator = gs.Simulator(BASE, device=device)
+    program, other = simulator.program(scene), gs.chart("colorchecker", size=SIZE)
+    first = program.frame(seed=3)
+    for seed, frame, seconds, gain, shown in ((4, 0, None, 1.0, scene), (4, 7, None, 1.0, scene),
+                                              (4, 7, 0.02, 1.0, scene), (4, 7, 0.02, 2.0, scene),
+                                              (4, 7, 0.02, 2.0, other), (3, 0, None, 1.0, scene)):
+        found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(seed=seed, frame=frame)
+        exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
+        fresh = next(simulator.shoot(exposure, seed=seed, first=frame))
+        for key in ("mean", "raw", "linear", "rgb"):
+            np.testing.assert_array_equal(getattr(found, key), getattr(fresh, key))
+    np.testing.assert_array_equal(found.rgb, first.rgb)
+
+
+def test_automatic_exposure_is_metered_anew_where_it_must_be(scene):
+    automatic = camera_with(BASE, sensor={"exposure_time": None}, noise={"dark_current": 0.0})
+    program = gs.Simulator(automatic, device="numpy").program(scene)
+    first = program.exposure.exposure_time
+    darker = camera_with(automatic, sensor={"auto_exposure": gs.AutoExposure(level=0.475)})  # half of .95
+    assert program.update(camera=darker).exposure.exposure_time == pytest.approx(first / 2, rel=1e-12)
+    brighter = replace(scene, illuminant=replace(scene.illuminant, values=2 * scene.illuminant.values))
+    # float32 metering: the largest of values rounded to 6e-8 each
+    assert program.update(scene=brighter).exposure.exposure_time == pytest.approx(first / 4, rel=1e-6)
+
+
+def test_a_refused_change_changes_nothing(scene):
+    program = gs.Simulator(BASE, device="numpy").program(scene)
+    before = program.codes(seed=1)
+    with pytest.raises(OutOfRange, match="exposure_time"):
+        program.update(camera=camera_with(BASE, processor={"demosaic": "malvar"}), exposure_time=-1.0)
+    np.testing.assert_array_equal(program.codes(seed=1), before)
+
+
+def test_the_report_has_every_stage_that_ran(scene):
+    """Stages in the order of their first launch; kept ones at 0 ms; in all no less than the stages' sum."""
+    program = gs.Simulator(BASE, device="opencl", tolerance=1e-3).program(scene)
+    report = program.frame(seed=1).report
+    names = [stage.stage for stage in report.stages]
+    assert len(names) == len(set(names))
+    assert {"spectral.integrate", "optics.airy", "optics.mosaic", "sensor.noise", "display.encode"} <= set(names)
+    order = [names.index(name) for name in ("optics.mosaic", "sensor.expose", "sensor.noise", "processor.adaptive",
+                                            "processor.color", "display.encode")]
+    assert order == sorted(order)
+    assert 0 < report.ms <= report.wall_ms
+    again = program.frame(seed=1).report
+    assert [stage.stage for stage in again.stages] == names and again.ms == 0
+
+
+def test_keys_are_compared_by_what_they_say():
+    spectrum = gs.illuminant("D65")
+    large = np.zeros(2**19)
+    for one, other, equal in ((1, 1, True), (1, 1.0, False), ("a", "a", True), ((1, [2]), (1, [2]), True),
+                              ((1,), (1, 2), False), (np.arange(3), np.arange(3), True),
+                              (np.arange(3), np.arange(4), False), (np.zeros(3), np.ones(3), False),
+                              (large, large, True), (large, large.copy(), False), (None, None, True),
+                              (spectrum, replace(spectrum), True),
+                              (spectrum, replace(spectrum, values=2 * spectrum.values), False),
+                              (object(), object(), False)):
+        assert same(one, other) is equal

@@ -1,0 +1,94 @@
+"""Three forms of one content say the same of it."""
+
+import numpy as np
+import pytest
+
+from gpusim.domain.content import Basis, Cube, Materials
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.scene import Scene, unit_light
+
+WAVELENGTHS = np.linspace(400, 700, 7)
+RANDOM = np.random.default_rng(3)
+SPECTRA = RANDOM.uniform(0.1, 1, (4, 7))
+IDS = RANDOM.integers(0, 4, (5, 6)).astype(np.uint8)
+SHADING = RANDOM.uniform(0.2, 2, (5, 6)).astype(np.float32)
+# every sample is one spectrum times a number
+TRUTH = np.moveaxis(SHADING[..., None].astype(float) * SPECTRA[IDS], -1, 0)
+ONE_OF_FOUR = np.stack([(IDS == k) * SHADING for k in range(4)]).astype(np.float32)
+FORMS = {"cube": Cube(WAVELENGTHS, TRUTH.astype(np.float32)), "basis": Basis(WAVELENGTHS, ONE_OF_FOUR, SPECTRA),
+         "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA)}
+ROUNDING = 2e-7  # float32 samples, once more in sums that are float32: 2 x 6e-8 and the sum's own
+
+
+@pytest.fixture(params=FORMS)
+def content(request):
+    found = FORMS[request.param]
+    assert found.form == request.param
+    return found
+
+
+def close(found, truth):
+    np.testing.assert_allclose(found, truth, rtol=4 * ROUNDING, atol=ROUNDING)
+
+
+def test_spectra_and_sums(content):
+    weights = RANDOM.uniform(-1, 1, (3, 7))
+    assert content.shape == (5, 6) and content.lit.all()
+    close(content.bands_at(np.array([1, 4])), TRUTH[:, [1, 4]])
+    close(content.mean_spectrum(), TRUTH.mean(axis=(1, 2)))
+    window = (slice(1, 4), slice(2, 6))
+    close(content.weighted(weights, window), np.tensordot(weights, TRUTH[:, 1:4, 2:6], 1))
+    close(content.brightness(weights[0] ** 2), np.tensordot(weights[0] ** 2, TRUTH, 1))
+    rates = weights @ content.entry_spectra.T
+    close(content.mixed(rates, np.array([0, 3])), np.tensordot(weights, TRUTH[:, [0, 3]], 1))
+    close(content.used(np.array([0, 3])) @ content.entry_spectra, TRUTH[:, [0, 3]].sum(axis=(1, 2)))
+
+
+def test_points(content):
+    rows, cols = np.array([0, 2, 4]), np.array([5, 5, 1])
+    spectra, light, strength = content.points(rows, cols)
+    close(strength[:, None] * spectra[light], TRUTH[:, rows, cols].T)
+
+
+def test_other_samples_and_other_light(content):
+    rows, cols = np.array([[0, 2]]), np.array([[5, 1]])
+    close(cube(content.take(rows, cols)), TRUTH[:, [0, 2], [5, 1]][:, None])
+    close(cube(content.scaled(2.5)), 2.5 * TRUTH)
+    light = np.linspace(1, 3, 7)
+    close(cube(content.divided(light)), TRUTH / light[:, None, None])
+    mask = RANDOM.random((5, 6)) < 0.5
+    front = content.take(*np.meshgrid(np.arange(5)[::-1], np.arange(6), indexing="ij"))
+    close(cube(content.behind(front, mask)), np.where(mask, TRUTH[:, ::-1], TRUTH))
+    darker = content.with_planes(content.planes * np.float32(0.5))
+    close(cube(darker), TRUTH / 2)
+
+
+def cube(content):
+    return content.bands_at(np.arange(content.shape[0]))
+
+
+def test_what_is_alike(content):
+    for other in FORMS.values():
+        assert content.is_like(other) is (other is content)
+    assert content.is_like(content.with_planes(2 * content.planes))
+    assert (content.labels is None) is (content.form != "materials")
+    assert content.is_spectral is (content.form == "cube")
+    # float32 samples, and ids as the 16 bits that devices take
+    assert content.nbytes == {"cube": 4 * 7 * 30, "basis": 4 * 4 * 30, "materials": 6 * 30}[content.form]
+
+
+def test_bad_content(content):
+    with pytest.raises(BadData, match="NaN or infinite samples"):
+        content.with_planes(content.planes * np.float32(np.nan)).check("s")
+    if content.form != "basis":
+        with pytest.raises(BadData, match="negative samples"):
+            content.with_planes(-content.planes).check("s")
+    with pytest.raises(BadData, match=r"zero-size|do not match|must be one"):
+        content.with_planes(content.planes[..., :0]).check("s")
+
+
+def test_what_is_no_content():
+    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis or Materials"):
+        Scene(TRUTH, unit_light(WAVELENGTHS))
+    with pytest.raises(OutOfRange, match=r"material id = 9: allowed is 0 \.\. 3"):
+        Materials(WAVELENGTHS, np.full((5, 6), 9), SHADING, SPECTRA).check("s")
