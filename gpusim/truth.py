@@ -102,7 +102,7 @@ def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarr
                      sensor.displacement)
     size = max(SIZE, lens.least_size // 2 * 2 + 1)
     cfa, margin, half = camera.sensor.cfa_indices, scene.margin, size // 2
-    planes = reference.light(reference.plan(scene))
+    planes = reference.imaging.light(reference.plan(scene))
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}
     planes = np.pad(planes, ((0, 0), (half, half), (half, half)), mode=modes[scene.border])
     corner = np.hypot(rows, cols) / 2

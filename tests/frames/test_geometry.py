@@ -217,7 +217,7 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     mean = np.array(simulate.device.numpy(simulate.expose(scene, 0.01).mean))
     made = simulate.plan(scene)
     assert made.warp.method == "cubic"
-    before = np.array(simulate.device.numpy(simulate.light(made)))
+    before = np.array(simulate.device.numpy(simulate.imaging.light(made)))
     assert before.min() < -0.01 * before.max()  # the overshoot that the scene has
     assert mean.min() >= 0
     assert mean.max() > 0

@@ -276,7 +276,7 @@ def test_noise_off_is_the_mean_rounded():
 def counting(monkeypatch):
     """List that grows by one each time the optics is computed."""
     calls, rates = [], Imaging.rates
-    monkeypatch.setattr(Imaging, "rates", lambda self, made: calls.append(1) or rates(self, made))
+    monkeypatch.setattr(Imaging, "rates", lambda self, *given: calls.append(1) or rates(self, *given))
     return calls
 
 
