@@ -76,7 +76,7 @@ def main():
     size = tuple(map(int, arguments.size.split("x")))
     base = camera_with(open_camera(arguments.camera), "processor", demosaic="adaptive")
     picture = chart("deadleaves", size=size)
-    bands = picture.content.bands_at(slice(None)).astype(np.float32)
+    bands = np.ascontiguousarray(picture.content.bands_at(slice(None)), np.float32)
     scenes = [replace(picture, content=Cube(picture.wavelengths, bands * np.float32(1 + 0.01 * k))) for k in range(3)]
     simulator = Simulator(base, device=arguments.device, tolerance=arguments.tolerance)
     rows = []

@@ -55,8 +55,9 @@ class Imaging:
         border = "edge" if made.scene.border == "scene" else made.scene.border
         # without blur or distortion nothing outside the frame is needed
         window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
-        planes = (kept or Kept())("planes before the blur", (content, made.table, window), lambda: self._planes(
-            content, made.table, (window, window)))
+        kept = kept or Kept()
+        planes = kept("planes before the blur", (content, made.table, window), lambda: self._planes(
+            content, made.table, (window, window), kept))
         planes = self._warped(made, planes)
         if made.gains is None:
             return self.pixels(made, planes), cfa
@@ -151,12 +152,13 @@ class Imaging:
         return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
                      device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
 
-    def _planes(self, content, table, window):
+    def _planes(self, content, table, window, kept=None):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
         device = self.device
-        stored = device.array(content.planes[(..., *window)])
-        if content.labels is not None:
-            ids = device.array(content.labels[window], np.uint16)
+        stored, ids = (kept or Kept())("content", (content, window), lambda: (
+            device.array(content.planes[(..., *window)]),
+            None if content.labels is None else device.array(content.labels[window], np.uint16)))
+        if ids is not None:
             return materials(ids, stored, device.array(table), device=device)
         return stored if table is None else integrate(stored, device.array(table), device=device)
 
