@@ -43,6 +43,17 @@ class Error:
                    if bound is not None)
 
 
+def merged(order: list[str], names) -> list[str]:
+    """Names in an order; each new one before the next of `names` that is known there, or else after the one before."""
+    order, names = list(order), list(names)
+    for number, name in enumerate(names):
+        if name not in order:
+            after = next((order.index(other) for other in names[number + 1 :] if other in order), None)
+            before = order.index(names[number - 1]) + 1 if number else len(order)
+            order.insert(before if after is None else after, name)
+    return order
+
+
 @dataclass(frozen=True)
 class StageReport:
     """One stage of one frame: its name, what was modelled, and milliseconds (0: kept from the frame before)."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterator
-from contextlib import contextmanager
 from copy import copy
 from math import ceil, prod
 
@@ -11,7 +10,7 @@ import numpy as np
 from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
-from gpusim.domain.exposure import bracket_times, checked_time
+from gpusim.domain.exposure import bracket_times, checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
@@ -29,8 +28,6 @@ from gpusim.program.shots import Shots
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error
 from gpusim.truth import at_pixels, probe_pixels, true_mean
-
-MOST_GAIN = 1e4  # analog gain beside the sensor's
 
 
 class Simulator:
@@ -60,10 +57,10 @@ class Simulator:
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
-        self._connect(Kept(), {})
+        self._connect(Kept(), [])
 
     def _connect(self, kept, launched):
-        """kept: tables of the last frames, for those of the same kind. launched: names of stages, first come first."""
+        """kept: tables of the last frames, for those of the same kind. launched: names of stages in their order."""
         self.kept, self.launched = kept, launched
         self.readout = Readout(self.camera.sensor, self.device, kept)
         self.imaging = Imaging(self.camera, self.device, kept)
@@ -100,13 +97,6 @@ class Simulator:
         error = self._true_error(scene, exposure) if verify else None
         yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
 
-    @contextmanager
-    def timed(self):
-        """Milliseconds per stage of what is launched inside: see `Device.timed`."""
-        with self.device.timed() as ms:
-            yield ms
-        self.launched.update(dict.fromkeys(ms))
-
     @property
     def planned_by(self):
         """What plans depend on beside the scene."""
@@ -114,7 +104,8 @@ class Simulator:
         asked = self.tolerance
         in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
         noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
-        return (optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa, sensor.stacked,
+        return (optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
+                sensor.channels, sensor.stacked,
                 sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
     @property
@@ -206,8 +197,7 @@ class Simulator:
     def metered(self, exposure_time, gain, per_second):
         """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
         sensor = self.camera.sensor
-        if not 0 < gain <= MOST_GAIN:
-            raise OutOfRange("gain", gain, f"0 < gain <= {MOST_GAIN:g}")
+        checked_gain(gain)
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is not None:
             return float(exposure_time), float(gain)
@@ -235,7 +225,7 @@ class Simulator:
         held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)  # the pictures, and once more together
         if held > self.device.memory:
             raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, self.device.memory, self.device.name)
-        with self.timed() as ms:
+        with self.device.timed() as ms:
             rates = [self.imaging.exposed(made, self.imaging.rates(made), 1.0) for made in plans]
             shape = rates[0].shape
             exposure_time, gain = self.metered(exposure_time, gain, lambda: rates[0])
@@ -251,7 +241,7 @@ class Simulator:
         """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
         checked_time(exposure_time)
         shape = exposure.mean.shape
-        with self.timed() as ms:
+        with self.device.timed() as ms:
             mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
                           scale=exposure_time / exposure.exposure_time, device=self.device)
         return exposed(self, exposure.plan, self.device.reshape(mean, shape), exposure_time, exposure.gain, ms, Kept())

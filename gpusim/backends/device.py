@@ -107,6 +107,7 @@ class Device:
             self.sync()
             self._collect(clock)
         finally:
+            clock.events.clear()  # those of a block that failed
             clock.times = outer
             for stage, spent in times.items() if outer is not None else ():
                 outer[stage] += spent

@@ -8,6 +8,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 
 METHODS = ("full", "mean", "percentile", "centre")
 LONGEST = 1e12  # [s]
+MOST_GAIN = 1e4  # analog gain beside the sensor's
 MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
 CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
 
@@ -30,6 +31,13 @@ def checked_time(time: float | None) -> float | None:
     if time is not None and not 0 < time <= LONGEST:
         raise OutOfRange("exposure_time", f"{time} s", f"0 < exposure_time <= {LONGEST:g} s")
     return time
+
+
+def checked_gain(gain: float) -> float:
+    """Return an analog gain beside the sensor's [1] as it is. Raises OutOfRange."""
+    if not 0 < gain <= MOST_GAIN:
+        raise OutOfRange("gain", gain, f"0 < gain <= {MOST_GAIN:g}")
+    return gain
 
 
 def bracket_times(time: float, stops) -> np.ndarray:

@@ -18,7 +18,7 @@ from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
-from gpusim.program.kept import Kept
+from gpusim.program.kept import Kept, One
 from gpusim.program.tables import LensTables
 
 WHOLE = (slice(None), slice(None))
@@ -56,7 +56,7 @@ class Imaging:
         # without blur or distortion nothing outside the frame is needed
         window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
         kept = kept or Kept()
-        planes = kept("planes before the blur", (content, made.table, window), lambda: self._planes(
+        planes = kept("planes before the blur", (One(content), made.table, window), lambda: self._planes(
             content, made.table, (window, window), kept))
         planes = self._warped(made, planes)
         if made.gains is None:
@@ -155,7 +155,7 @@ class Imaging:
     def _planes(self, content, table, window, kept=None):
         """The planes that are transformed, or the channels themselves, as an array of the device."""
         device = self.device
-        stored, ids = (kept or Kept())("content", (content, window), lambda: (
+        stored, ids = (kept or Kept())("content", (One(content), window), lambda: (
             device.array(content.planes[(..., *window)]),
             None if content.labels is None else device.array(content.labels[window], np.uint16)))
         if ids is not None:

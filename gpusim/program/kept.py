@@ -1,12 +1,18 @@
 """What was computed before, given again while what it was made of stays the same."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
-SMALL = 2**18  # entries up to which arrays are compared by value; larger ones are the same if they are one array
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class One:
+    """What another step gave, or a user: the same while it is one object, whatever its values."""
+
+    value: Any
 
 
 class Kept:
@@ -27,17 +33,19 @@ class Kept:
 
 
 def same(a, b) -> bool:
-    """Whether two keys name one thing: equal numbers, texts and small arrays, field by field; else one object."""
+    """Whether two keys name one thing: equal numbers, texts and arrays, field by field; else one object."""
     if a is b:
         return True
     if type(a) is not type(b):
         return False
+    if isinstance(a, One):
+        return a.value is b.value
     if isinstance(a, PLAIN):
         return bool(a == b)
     if isinstance(a, tuple | list):
         return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, np.ndarray):
-        return a.shape == b.shape and a.size <= SMALL and np.array_equal(a, b)
+        return a.dtype == b.dtype and np.array_equal(a, b)
     if is_dataclass(a):
         return all(same(getattr(a, part.name), getattr(b, part.name)) for part in fields(a))
     return False

@@ -3,14 +3,14 @@
 import dataclasses
 import time
 
-from gpusim.domain.exposure import checked_time
+from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
-from gpusim.program.kept import Kept
+from gpusim.program.kept import Kept, One
 from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
@@ -27,7 +27,7 @@ class Program:
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
         self.simulator, self.scene = simulator, scene
-        self._exposure_time, self._gain = checked_time(exposure_time), gain
+        self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self._kept = Kept()
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
@@ -37,16 +37,16 @@ class Program:
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
-        self.simulator, self._exposure_time = simulator, seconds
+        self._gain = self._gain if gain is SAME else checked_gain(gain)
         self.scene = self.scene if scene is SAME else scene
-        self._gain = self._gain if gain is SAME else gain
+        self.simulator, self._exposure_time = simulator, seconds
         return self
 
     @property
     def plan(self) -> Plan:
         """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange."""
-        facts = self._kept("facts", self.scene, lambda: Facts.of(self.scene))
-        by = self.scene, self.simulator.planned_by
+        facts = self._kept("facts", One(self.scene), lambda: Facts.of(self.scene))
+        by = One(self.scene), self.simulator.planned_by
         return self._kept("plan", by, lambda: self.simulator.plan(self.scene, facts))
 
     @property
@@ -54,13 +54,13 @@ class Program:
         """Mean electrons of the scene, with all that frames of it need. Raises BadData, DoesNotFit, OutOfRange."""
         simulator, start = self.simulator, time.perf_counter()
         plan = self.plan
-        with simulator.timed() as ms:
-            rates = self._kept("rates", plan, lambda: simulator.imaging.rates(plan, self._kept))
-            per_second = lambda: self._kept("per second", plan, lambda: simulator.imaging.exposed(plan, rates, 1.0))  # noqa: E731
-            metering = plan, simulator.metered_by, self._exposure_time, self._gain
+        with simulator.device.timed() as ms:
+            rates = self._kept("rates", One(plan), lambda: simulator.imaging.rates(plan, self._kept))
+            metering = One(plan), simulator.metered_by, self._exposure_time, self._gain
             seconds, gain = self._kept("metered", metering, lambda: simulator.metered(
-                self._exposure_time, self._gain, per_second))
-            mean = self._kept("mean", (plan, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
+                self._exposure_time, self._gain, lambda: self._kept(
+                    "per second", One(plan), lambda: simulator.imaging.exposed(plan, rates, 1.0))))
+            mean = self._kept("mean", (One(plan), seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
         exposure = exposed(simulator, plan, mean, seconds, gain, ms, self._kept)
         return dataclasses.replace(exposure, wall_ms=1e3 * (time.perf_counter() - start))
 
@@ -87,17 +87,19 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, 
     """The exposure of mean electrons, an array of the device. kept: what was made before for exposures alike."""
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = dataclasses.replace(simulator.camera, sensor=readout.operated(gain))
-    with simulator.timed() as more:
-        expected = kept("expected", (mean, seconds, readout.chip), lambda: readout.expected(mean, seconds))
+    with simulator.device.timed() as more:
+        expected = kept("expected", (One(mean), seconds, readout.chip), lambda: readout.expected(mean, seconds))
     ms = {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}}
     gains = None
     if processor.shading:
-        falls = plan.scene.shape, plan.slope, simulator.planned_by
+        falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,
+                 sensor.binning, sensor.binning_mode)
         gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
+    operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
-              sensor.stacked, camera.sensor.saturation, camera.sensor.gain_dn_per_electron, camera.sensor.white_level,
-              camera.sensor.dark_level, sensor.auto_exposure, dataclasses.replace(processor, tone=()), camera.display,
-              seconds, readout.pixels)
+              sensor.channels, sensor.stacked, operated.saturation, operated.gain_dn_per_electron,
+              operated.white_level, operated.dark_level, sensor.auto_exposure, dataclasses.replace(processor, tone=()),
+              camera.display, seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(
         plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0

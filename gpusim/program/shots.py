@@ -10,8 +10,8 @@ from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.rendering import transforms_of
 from gpusim.planner.speed import iso_speed
-from gpusim.program.kept import Kept
-from gpusim.report import Error, Report, StageReport
+from gpusim.program.kept import Kept, One
+from gpusim.report import Error, Report, StageReport, merged
 from gpusim.truth import PROBES
 
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
@@ -30,16 +30,17 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        return self._kept("raw", (exposure.expected, exposure.camera.sensor, exposure.exposure_time, seed, frame),
-                          lambda: readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed,
-                                               frame=frame))
+        key = One(exposure.expected), exposure.camera.sensor, readout.sensor, exposure.exposure_time, seed, frame
+        return self._kept("raw", key, lambda: readout.draw(exposure.expected, exposure.exposure_time,
+                                                           gain=exposure.gain, seed=seed, frame=frame))
 
     @property
     def developer(self) -> Developer:
         """The camera's image processor."""
         simulator, camera = self.simulator, self.exposure.camera
-        lights = camera.optics.transmission, camera.sensor.qe, camera.sensor.cfa, camera.processor, camera.display
-        return simulator.kept("developer", camera, lambda: Developer(
+        sensor = camera.sensor
+        lights = camera.optics.transmission, sensor.qe, sensor.cfa, sensor.channels, camera.processor, camera.display
+        return simulator.kept("developer", (camera, simulator.readout.averaged), lambda: Developer(
             camera, simulator.device, simulator.readout.averaged,
             lambda: simulator.kept("transforms", lights, lambda: transforms_of(camera))))
 
@@ -50,51 +51,55 @@ class Shots:
         if exposure.camera.processor.defects != "known":
             return None
         shape, seconds, sensor = exposure.mean.shape, exposure.exposure_time, exposure.camera.sensor
-        return simulator.kept("defects", (shape, seconds, sensor), lambda: simulator.readout.defects(
-            shape, seconds, HOT * sensor.read_sigma))
+        key = shape, seconds, sensor, simulator.readout.sensor
+        return simulator.kept("defects", key, lambda: simulator.readout.defects(shape, seconds,
+                                                                                HOT * sensor.read_sigma))
 
     def planes(self, raw):
         """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
         exposure, processor = self.exposure, self.exposure.camera.processor
         white, correction = exposure.rendering.neutral, (exposure.gains, exposure.blur)
         asked = processor.demosaic, processor.table, processor.denoise, processor.defects
-        return self._kept("planes", (raw, *asked, white, *correction), lambda: self.developer.demosaicked(
+        return self._kept("planes", (One(raw), *asked, white, *correction), lambda: self.developer.demosaicked(
             raw, white=white, known=self.defects, gains=exposure.gains, blur=exposure.blur))
 
     def linear(self, raw):
         """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""
         planes, once = self.planes(raw), self.exposure.rendering
-        rendering = self._kept("white", (planes, once), lambda: self.developer.balanced(planes, once))
-        shown = self._kept("linear", (planes, rendering), lambda: self.developer.colored(planes, rendering))
+        camera, averaged = self.exposure.camera, self.simulator.readout.averaged
+        by = replace(camera.processor, tone=()), camera.display, camera.sensor, camera.optics.transmission, averaged
+        rendering = self._kept("white", (One(planes), One(once), *by), lambda: self.developer.balanced(planes, once))
+        shown = self._kept("linear", (One(planes), One(rendering)), lambda: self.developer.colored(planes, rendering))
         return shown, rendering
 
     def developed(self, raw):
         """Linear display RGB, display codes (rows, cols, 3), and the rendering."""
         shown, rendering = self.linear(raw)
         camera = self.exposure.camera
-        codes = self._kept("codes", (shown, camera.processor.tone, camera.display),
+        codes = self._kept("codes", (One(shown), camera.processor.tone, camera.display),
                            lambda: self.developer.encoded(shown))
         return shown, codes, rendering
 
     def codes(self, raw):
         """Display codes (rows, cols, 3) alone: in one pass where the camera allows it."""
         camera, rendering = self.exposure.camera, self.exposure.rendering
-        codes = self._kept("at once", (raw, rendering, camera.processor, camera.display),
+        codes = self._kept("at once", (One(raw), One(rendering), camera.processor, camera.display),
                            lambda: self.developer.in_one_pass(raw, rendering))
         return self.developed(raw)[1] if codes is None else codes
 
     def frame(self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True) -> Frame:
         """One picture with its report. error: of the mean electrons, where known. first: of this exposure."""
         exposure, device, start = self.exposure, self.simulator.device, time.perf_counter()
-        with self.simulator.timed() as ms:
+        with device.timed() as ms:
             raw = self.raw(seed, frame)
             shown, rgb, rendering = self.developed(raw)
-        mean = self._kept("mean of pixels", (exposure.mean,), self._mean)
+        mean = np.array(self._kept("mean of pixels", (One(exposure.mean), self.simulator.readout.sensor), self._mean))
         raw, shown, rgb = (np.array(device.numpy(array)) for array in (raw, shown, rgb))
         wall = 1e3 * (time.perf_counter() - start) + (exposure.wall_ms if first else 0.0)
         times = {**exposure.ms, **ms} if first else ms
         return Frame(exposure.camera, exposure.exposure_time, rendering, mean, exposure.layered(raw), shown, rgb,
-                     self._report(rendering, times, wall, seed, frame, error), exposure.blur, exposure.gains)
+                     self._report(rendering, times, wall, seed, frame, error), exposure.blur,
+                     None if exposure.gains is None else np.array(exposure.gains))
 
     def _mean(self):
         exposure, shape = self.exposure, self.exposure.mean.shape
@@ -103,11 +108,9 @@ class Shots:
 
     @property
     def _speed(self):
-        sensor = self.exposure.camera.sensor
-        curves = sensor.qe, sensor.aperture, sensor.saturation, sensor.gain_dn_per_electron
         # of the sensor as it is, not as binned
-        own = replace(self.simulator.camera.sensor, analog_gain=sensor.analog_gain)
-        return self.simulator.kept("speed", curves, lambda: iso_speed(own))
+        own = replace(self.simulator.camera.sensor, analog_gain=self.exposure.camera.sensor.analog_gain)
+        return self.simulator.kept("speed", own, lambda: iso_speed(own))
 
     def _report(self, rendering, times, wall, seed, number, error):
         exposure, simulator, camera = self.exposure, self.simulator, self.exposure.camera
@@ -115,12 +118,8 @@ class Shots:
         shown = f"{camera.display.name}, 8 bit" + (", with a tone curve" if camera.processor.tone else "")
         models = plan.models | simulator.readout.models() | self.developer.models() | {
             "processor.color": rendering.model, "display.encode": shown}
-        order = list(dict.fromkeys([*simulator.launched, *times]))
-        place = 0
-        for name in models:  # what had nothing to do comes after what it would have followed
-            if name not in order:
-                order.insert(place, name)
-            place = order.index(name) + 1
+        simulator.launched = merged(simulator.launched, times)
+        order = merged(simulator.launched, models)  # with stages that had nothing to do
         stages = [StageReport(name, models.get(name, "for the stages below"), times.get(name, 0.0)) for name in order
                   if name in models or name in times]
         white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""

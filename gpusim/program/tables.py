@@ -46,7 +46,8 @@ class LensTables:
 
     def _key(self, made):
         """What the tables of a plan are made of."""
-        return self._lens, made.q, made.period, made.gains.shape, made.transfers
+        return (self._lens, made.q, self.grid(made.scene.samples_per_pixel), made.period, made.gains.shape,
+                made.transfers)
 
     def levels(self, made: Plan):
         """The plan's kernels as pyramids."""

@@ -8,7 +8,7 @@ from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import OutOfRange
-from gpusim.program.kept import same
+from gpusim.program.kept import One, same
 
 SIZE = (96, 64)
 
@@ -122,13 +122,74 @@ def test_the_report_has_every_stage_that_ran(scene):
     assert [stage.stage for stage in again.stages] == names and again.ms == 0
 
 
+def digital(base):
+    return camera_with(base, sensor={"binning": (2, 2), "binning_mode": "digital"}, processor={"denoise": 1.0})
+
+
+@pytest.mark.parametrize("device", ["numpy", "opencl"])
+@pytest.mark.parametrize("change", [
+    digital,
+    lambda base: camera_with(base, sensor={"binning": (2, 2), "binning_mode": "charge"}),
+    lambda base: camera_with(base, sensor={"cfa": ("BG", "GR"), "channels": ("B", "G", "R")}),
+    lambda base: camera_with(base, processor={"white_balance": "gray-world"}),
+    lambda base: camera_with(base, sensor={"bits": 12}),
+    lambda base: camera_with(base, processor={"denoise": 1.0, "defects": "detect", "shading": True})])
+def test_nothing_stale_is_used(device, change, scene):
+    """There and back again, by a program and by one Simulator: mean, raw, pictures and what the report names."""
+    start = camera_with(BASE, processor={"white_balance": "max-rgb"})
+    program = gs.Simulator(start, device=device).program(scene)
+    simulator = program.simulator
+    for camera in (start, change(start), start, digital(start), change(start)):
+        simulator = simulator.update(camera)
+        fresh = gs.Simulator(camera, device=device)(scene, seed=2)
+        for frame in (program.update(camera=camera).frame(seed=2), simulator(scene, seed=2)):
+            for key in ("mean", "raw", "linear", "rgb"):
+                np.testing.assert_array_equal(getattr(frame, key), getattr(fresh, key), key)
+            assert frame.report.camera == fresh.report.camera
+            names = [stage.stage for stage in frame.report.stages]
+            assert set(names) == {stage.stage for stage in fresh.report.stages} and len(names) == len(set(names))
+            drawn = [name for name in names if name in ("sensor.noise", "processor.denoise", "processor.shade",
+                                                        "processor.adaptive", "processor.color", "display.encode")]
+            assert drawn == [stage.stage for stage in fresh.report.stages if stage.stage in drawn]
+
+
+def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
+    values = np.full((3, 24, 32), 0.5, np.float32)
+    wavelengths, light = np.array([450.0, 550.0, 650.0]), gs.illuminant("D65")
+    program = gs.Simulator(BASE, device="opencl").program(gs.Scene(gs.Cube(wavelengths, values), light))
+    first = program.frame().mean
+    values *= np.float32(0.25)
+    second = program.update(scene=gs.Scene(gs.Cube(wavelengths, values), light)).frame().mean
+    np.testing.assert_allclose(second, first / 4, rtol=1e-6)  # float32, a power of two
+
+
+def test_pictures_are_the_callers_own(scene):
+    program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(scene)
+    first, second = program.frame(), program.frame(frame=1)
+    before = second.mean.copy(), second.gains.copy()
+    first.mean[...] = 0
+    first.gains[...] = 0
+    for array, kept in zip((second.mean, second.gains), before, strict=True):
+        np.testing.assert_array_equal(array, kept)
+    np.testing.assert_array_equal(program.frame(frame=2).gains, before[1])
+
+
+def test_a_negative_gain_is_refused_at_once(scene):
+    program = gs.Simulator(BASE, device="numpy").program(scene)
+    with pytest.raises(OutOfRange, match="gain"):
+        program.update(gain=-1.0)
+    program.codes()
+
+
 def test_keys_are_compared_by_what_they_say():
     spectrum = gs.illuminant("D65")
     large = np.zeros(2**19)
     for one, other, equal in ((1, 1, True), (1, 1.0, False), ("a", "a", True), ((1, [2]), (1, [2]), True),
                               ((1,), (1, 2), False), (np.arange(3), np.arange(3), True),
                               (np.arange(3), np.arange(4), False), (np.zeros(3), np.ones(3), False),
-                              (large, large, True), (large, large.copy(), False), (None, None, True),
+                              (One(large), One(large), True), (One(large), One(large.copy()), False),
+                              (None, None, True),
+                              (large, large.copy(), True), (np.zeros(2), np.zeros(2, np.float32), False),
                               (spectrum, replace(spectrum), True),
                               (spectrum, replace(spectrum, values=2 * spectrum.values), False),
                               (object(), object(), False)):
