@@ -13,7 +13,7 @@ one kernel: true of frames of megapixels; a frame of 270 rows has up to four tim
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.interpolate import BSpline, RectBivariateSpline
@@ -134,9 +134,18 @@ def overlap_add(lens: Lens, shape, grid, fft_length, window="quadratic", truth=N
     (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
-    return FieldBlur("overlap-add", lambda: np.einsum("ya,xb->abyx", along_y, along_x).reshape(terms, *shape),
-                     kernels, index, edges, image_error(mixed, wanted), terms,
-                     _cost(edges, reach, terms, fft_length))
+    return FieldBlur("overlap-add", partial(_window_maps, along_y, along_x), kernels, index, edges,
+                     image_error(mixed, wanted), terms, _cost(edges, reach, terms, fft_length))
+
+
+def _window_maps(along_y, along_x):
+    """Coefficients of every term from windows along the rows (rows, a) and the columns (cols, b)."""
+    return np.einsum("ya,xb->abyx", along_y, along_x).reshape(-1, len(along_y), len(along_x))
+
+
+def _eigen_maps(nodes, vectors, shape):
+    """Coefficients of the mean kernel, 1, and of those that `vectors` weight at the nodes."""
+    return np.concatenate([np.ones((1, *shape)), _between(nodes, vectors, *map(np.arange, shape))])
 
 
 class _Window:
@@ -207,11 +216,9 @@ def eigen_kernels(lens: Lens, shape, fft_length, terms=None, tolerance=1e-3, sam
         terms = low
     terms = min(terms, most)
 
-    def maps():
-        return np.concatenate([np.ones((1, *shape)), _between(nodes, vectors[:, : terms - 1], *map(np.arange, shape))])
-
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
+    maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
     return FieldBlur("eigen-kernels", maps, np.concatenate([mean[None], basis[: terms - 1]]),
                      np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms, fft_length))
 

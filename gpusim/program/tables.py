@@ -72,9 +72,10 @@ class LensTables:
         if displacement is None:
             displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
         if optics.psf is not None:
-            return device.array(psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows,
-                                           cols, finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole,
-                                           displacement=displacement))
+            tables = psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows, cols,
+                                finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole,
+                                displacement=displacement)
+            return tables if device.kind == "numpy" else device.array(tables)
         if optics.is_ideal and distance is None and not any(displacement):
             return airy(device.array(q), aperture, rows, cols, device=device)
         waves = optics.waves(q * pitch / optics.working_f_number * 1e9, distance=distance)

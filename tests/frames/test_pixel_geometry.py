@@ -145,6 +145,7 @@ PATHS = {  # optics, scene, options; tolerance
     "defocus, low-pass": ({"defocus": 2e-5, "birefringence": (2e-6, 1e-6), "diffuser": 1e-6}, {}, {}, 1e-12),
     "coma": ({"wavefront": Wavefront(zernike=(0, 0, 0, 0, 0, 0, 0, 0.2))}, {}, {}, 1e-12),
     "measured": ({"model": "measured", "psf": MEASURED}, {}, {}, 2e-7),
+    "measured, small pixels": ({"model": "measured", "psf": MEASURED, "sensor": {"fill_factor": 0.4}}, {}, {}, 2e-7),
     "distortion": ({"distortion": RadialPolynomial(0, 0, 0.02)}, {}, {}, 1e-12),
     "vignetting": ({"sensor": {"vignetting": np.array([[0.5, 0.9], [1.0, 0.7], [0.2, 0.6]])}}, {}, {}, 2e-7),
     "two samples": ({}, {"samples_per_pixel": 2}, {}, 1e-12),

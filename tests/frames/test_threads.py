@@ -5,6 +5,7 @@ import pickle
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,6 +129,15 @@ def redrawn(blob):
     """Digital numbers of a pickled Simulator and Exposure."""
     simulator, exposure = pickle.loads(blob)
     return simulator.device.name, np.array(simulator.device.numpy(simulator.draw(exposure, seed=5)))
+
+
+def test_an_exposure_of_a_varying_blur_is_pickled():
+    camera = gs.open_camera("phone")
+    camera = replace(camera, optics=replace(camera.optics, lateral_color=1e-3))
+    exposure = gs.Simulator(camera, device="numpy", tolerance=1e-2).expose(scene_of(0))
+    assert exposure.plan.varying is not None
+    again = pickle.loads(pickle.dumps(exposure))
+    np.testing.assert_array_equal(again.plan.varying.coefficients, exposure.plan.varying.coefficients)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
