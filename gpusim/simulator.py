@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from copy import copy
 from math import ceil, prod
+from time import perf_counter
 
 import numpy as np
 
@@ -105,8 +106,7 @@ class Simulator:
         in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
         noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
         return (optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
-                sensor.channels, sensor.stacked,
-                sensor.microlens, sensor.vignetting, sensor.binning, noise)
+                sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
     @property
     def metered_by(self):
@@ -136,7 +136,8 @@ class Simulator:
         for number, factor in enumerate(factors):
             exposure = self.lengthened(once, once.exposure_time * float(factor))
             if number == 0:
-                exposure = dataclasses.replace(exposure, ms=once.ms | exposure.ms, wall_ms=once.wall_ms)
+                exposure = dataclasses.replace(exposure, ms=once.ms | exposure.ms,
+                                               wall_ms=once.wall_ms + exposure.wall_ms)
             frames += self.shoot(exposure, seed=seed, first=first + number)
         return frames
 
@@ -215,7 +216,7 @@ class Simulator:
         the exposure.
         """
         checked_time(exposure_time)
-        scenes = list(scenes)
+        scenes, begun = list(scenes), perf_counter()
         if not scenes or len(scenes) != len(np.atleast_1d(times)):
             raise BadData(f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
                           "one or more")
@@ -235,16 +236,17 @@ class Simulator:
             mean = shutter(stacked, np.tile(weights, (layers, 1)), device=self.device)
         model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
         made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
-        return exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, ms, Kept())
+        return exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, ms, begun, Kept())
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
         """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
         checked_time(exposure_time)
-        shape = exposure.mean.shape
+        shape, begun = exposure.mean.shape, perf_counter()
         with self.device.timed() as ms:
             mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
                           scale=exposure_time / exposure.exposure_time, device=self.device)
-        return exposed(self, exposure.plan, self.device.reshape(mean, shape), exposure_time, exposure.gain, ms, Kept())
+        mean = self.device.reshape(mean, shape)
+        return exposed(self, exposure.plan, mean, exposure_time, exposure.gain, ms, begun, Kept())
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
         """Raw values around the exposure's expected electrons, an array of the device; equal on all for equal means.

@@ -61,8 +61,7 @@ class Program:
                 self._exposure_time, self._gain, lambda: self._kept(
                     "per second", One(plan), lambda: simulator.imaging.exposed(plan, rates, 1.0))))
             mean = self._kept("mean", (One(plan), seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
-        exposure = exposed(simulator, plan, mean, seconds, gain, ms, self._kept)
-        return dataclasses.replace(exposure, wall_ms=1e3 * (time.perf_counter() - start))
+        return exposed(simulator, plan, mean, seconds, gain, ms, start, self._kept)
 
     @property
     def shots(self) -> Shots:
@@ -83,8 +82,12 @@ class Program:
         return self.shots.frame(seed=seed, frame=frame)
 
 
-def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, kept: Kept) -> Exposure:
-    """The exposure of mean electrons, an array of the device. kept: what was made before for exposures alike."""
+def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, start: float, kept: Kept) -> Exposure:
+    """The exposure of mean electrons [e-], an array of the device.
+
+    seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. ms: per stage, until now; start: when the work
+    began [s, perf_counter]. kept: what was made before for exposures alike.
+    """
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = dataclasses.replace(simulator.camera, sensor=readout.operated(gain))
     with simulator.device.timed() as more:
@@ -103,7 +106,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, 
     colored = kept("rendering", colors, lambda: rendering(
         plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, ms, device=simulator.device)
+    wall = 1e3 * (time.perf_counter() - start)
+    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, ms, wall, simulator.device)
 
 
 def _shading(simulator, plan):

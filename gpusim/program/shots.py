@@ -120,8 +120,8 @@ class Shots:
             "processor.color": rendering.model, "display.encode": shown}
         simulator.launched = merged(simulator.launched, times)
         order = merged(simulator.launched, models)  # with stages that had nothing to do
-        stages = [StageReport(name, models.get(name, "for the stages below"), times.get(name, 0.0)) for name in order
-                  if name in models or name in times]
+        stages = [StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
+                  for name in order if name in models or name in times]
         white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
                                                  f"{camera.processor.target}{white}"]
