@@ -41,6 +41,7 @@ class Readout:
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._kept = Kept() if kept is None else kept
+        self._operated = 1.0, self.output
 
     @property
     def chip(self):
@@ -50,8 +51,12 @@ class Readout:
                 chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth, chip.seed)
 
     def operated(self, gain: float) -> Sensor:
-        """The output sensor with its analog gain multiplied by `gain`."""
-        return dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
+        """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""
+        known = self._operated  # read once: another thread may put its own there
+        if known[0] != gain:
+            sensor = dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
+            known = self._operated = gain, sensor
+        return known[1]
 
     def output_shape(self, shape) -> tuple[int, int]:
         """Rows and columns of the raw values of a frame of `shape` pixels. Raises OutOfRange where they are too few."""
@@ -247,10 +252,10 @@ class Readout:
         return self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
 
     def _pattern(self, plane, rows, cols, **parts):
-        """A fixed pattern, kept from its first use."""
-        seed = self.sensor.noise.seed
-        return self._kept(f"pattern of {plane}", (rows, cols, seed, *parts.values()), lambda: pattern(
-            rows, cols, plane, seed=seed, device=self.device, **parts))
+        """A fixed pattern on the device, kept from its first use."""
+        seed, device = self.sensor.noise.seed, self.device
+        return self._kept(f"pattern of {plane}", (rows, cols, seed, *parts.values()), lambda: device.array(pattern(
+            rows, cols, plane, seed=seed, device=device, **parts)))
 
 
 def checked_electrons(mean, layers: int | None) -> np.ndarray:

@@ -234,9 +234,10 @@ class Simulator:
             layers = prod(shape[:-2])  # of stacked pixels, one below the other
             stacked = self.device.reshape(self.device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
             mean = shutter(stacked, np.tile(weights, (layers, 1)), device=self.device)
-        model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
-        made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
-        return exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, ms, begun, Kept())
+            model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
+            made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
+            exposure = exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, Kept())
+        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
         """The same scene exposed for another time [s]; nothing but the mean electrons is computed anew."""
@@ -245,8 +246,9 @@ class Simulator:
         with self.device.timed() as ms:
             mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
                           scale=exposure_time / exposure.exposure_time, device=self.device)
-        mean = self.device.reshape(mean, shape)
-        return exposed(self, exposure.plan, mean, exposure_time, exposure.gain, ms, begun, Kept())
+            lengthened = exposed(self, exposure.plan, self.device.reshape(mean, shape), exposure_time, exposure.gain,
+                                 Kept())
+        return dataclasses.replace(lengthened, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
         """Raw values around the exposure's expected electrons, an array of the device; equal on all for equal means.

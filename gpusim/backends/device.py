@@ -14,12 +14,16 @@ from gpusim.domain.memory import host_memory
 
 
 class _Clock(threading.local):
-    """What one thread times on a device: milliseconds per stage, if any, the stage that is charged, events."""
+    """What one thread times on a device: milliseconds per stage, if any, the stage that is charged, events.
+
+    host_work: whether it works on the host just now.
+    """
 
     def __init__(self):
         self.times: defaultdict[str, float] | None = None
         self.charged = ""
         self.events: list = []
+        self.host_work = False
 
 
 class Device:

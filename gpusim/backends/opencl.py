@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.caches import prepare_opencl
-from gpusim.backends.device import Device
 from gpusim.backends.pocl import known_processor
+from gpusim.backends.tape import Taped
 from gpusim.domain.errors import DeviceError
 
 PAGE = 4096
@@ -44,7 +44,59 @@ class _Block:
             self.free[self.nbytes].append((self.buffer, self.host))
 
 
-class OpenCLDevice(Device):
+class _Command:
+    """A kernel of its own with its arguments; stage: that is charged."""
+
+    def __init__(self, device, stage, kernel, pieces, args):
+        self.device, self.stage, self.kernel, self.args = device, stage, kernel, args
+        self.pieces = [(size[::-1], block[::-1], offset[::-1]) for size, block, offset in pieces]
+        self.enqueue = device._cl.enqueue_nd_range_kernel
+        for index, value in enumerate(args):
+            self._set(index, value)
+
+    def _set(self, index, value):
+        if isinstance(value, OpenCLArray):
+            value = value.buffer
+        elif isinstance(value, int | np.integer):
+            value = np.int32(value)
+        else:
+            value = np.float32(value)
+        self.kernel.set_arg(index, value)
+
+    def set(self, args):
+        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
+            if new is old or (not isinstance(new, OpenCLArray) and new == old):
+                continue
+            self._set(index, new)
+        self.args = args
+
+    def start(self):
+        device = self.device
+        for size, block, offset in self.pieces:
+            event = self.enqueue(device.queue, self.kernel, size, block, offset)
+            clock = device._clock
+            if clock.times is not None:
+                clock.events.append((self.stage, event))
+        device._keep(self.args)
+
+
+class _Copy:
+    """A copy between two arrays in turn with the kernels."""
+
+    def __init__(self, device, target, source, count, start, to):
+        self.device, self.target, self.source, size = device, target, source, source.dtype.itemsize
+        self.stage = device._clock.charged or "copies"
+        self.range = {"byte_count": count * size, "src_offset": start * size, "dst_offset": to * size}
+
+    def start(self):
+        device, clock = self.device, self.device._clock
+        event = device._cl.enqueue_copy(device.queue, self.target.buffer, self.source.buffer, **self.range)
+        if clock.times is not None:
+            clock.events.append((self.stage, event))
+        device._keep((self.target, self.source))
+
+
+class OpenCLDevice(Taped):
     """One OpenCL device with one in-order queue that records event times."""
 
     kind = "opencl"
@@ -73,21 +125,19 @@ class OpenCLDevice(Device):
     def memory(self):
         return super().memory if self.on_host else self.cl_device.global_mem_size
 
-    def array(self, values, dtype=np.float32):
-        if isinstance(values, OpenCLArray):
-            return values
+    def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
         flags = self._cl.mem_flags
         if not values.size:  # OpenCL has no empty buffers
-            return self.empty(values.shape, dtype)
+            return self._empty(values.shape, dtype)
         if self.on_host and values.ctypes.data % 16 == 0:
             buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=values)
             return OpenCLArray(buffer, values.shape, dtype, values)
-        result = self.empty(values.shape, dtype)
+        result = self._empty(values.shape, dtype)
         self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
         return result
 
-    def empty(self, shape, dtype=np.float32):
+    def _empty(self, shape, dtype):
         dtype = np.dtype(dtype)
         nbytes = max(prod(shape) * dtype.itemsize, 1)
         try:
@@ -108,13 +158,11 @@ class OpenCLDevice(Device):
         host = store[start : start + nbytes]
         return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host), host
 
-    def reshape(self, array, shape):
+    def _reshape(self, array, shape):
         host = None if array.host is None else array.host.reshape(shape)
         return OpenCLArray(array.buffer, shape, array.dtype, host, array.owner)
 
-    def numpy(self, array):
-        if isinstance(array, np.ndarray):
-            return array
+    def _numpy(self, array):
         if array.host is not None:
             self.sync()
             return array.host
@@ -123,39 +171,39 @@ class OpenCLDevice(Device):
             self._cl.enqueue_copy(self.queue, out, array.buffer)
         return out
 
-    def stack(self, arrays):
-        result = self.empty((len(arrays), *arrays[0].shape), arrays[0].dtype)
-        for number, array in enumerate(arrays):
-            self._copy(result, array, array.nbytes, to=number * array.nbytes)
-        return result
+    def _place(self, array):
+        return array.buffer.int_ptr, array.shape, array.dtype
 
-    def part(self, array, index):
-        result = self.empty(array.shape[1:], array.dtype)
-        self._copy(result, array, result.nbytes, start=index * result.nbytes)
-        return result
+    def _dtype(self, array):
+        return array.dtype
 
-    def _copy(self, target, source, count, start=0, to=0):
-        """Copy `count` bytes between arrays in turn with what is launched."""
-        clock = self._clock
-        event = self._cl.enqueue_copy(self.queue, target.buffer, source.buffer, byte_count=count, src_offset=start,
-                                      dst_offset=to)
-        if clock.times is not None:
-            clock.events.append((clock.charged or "copies", event))
-        self._in_flight.append((target, source))
+    def _copy(self, target, source, count, start, to):
+        return _Copy(self, target, source, count, start, to)
 
-    def launch(self, stage, kernel, grid, *args, defines=None, group=None):
+    def _launch(self, stage, kernel, grid, args, defines, group):
         clock, values = self._clock, [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started
-            entry = self._kernel(stage, kernel, defines or {}, args)
+            entry = self._kernel(stage, kernel, defines, args)
             if 0 in grid:
                 return
-            if len(self._in_flight) > 256:
-                self.sync()
             for size, block, offset in self._pieces(tuple(grid), group):
                 event = entry(self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1])
                 if clock.times is not None:
                     clock.events.append((clock.charged or stage, event))
-            self._in_flight.append(args)
+            self._keep(args)
+
+    def _keep(self, used):
+        """Keep what queued kernels use until they have ended, where that is host memory; a GPU's driver does it."""
+        if self.is_gpu:
+            return
+        if len(self._in_flight) > 256:
+            self.sync()
+        self._in_flight.append(used)
+
+    def _command(self, stage, kernel, grid, args, defines, group):
+        with self._lock:
+            entry = self._cl.Kernel(self._program(stage, defines), kernel)
+        return _Command(self, self._clock.charged or stage, entry, self._pieces(tuple(grid), group), args)
 
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.caches import is_writable, lent_folder
-from gpusim.backends.device import Device
 from gpusim.backends.native import native_kernel
+from gpusim.backends.tape import Taped
 from gpusim.domain.errors import DeviceError
 
 
@@ -40,7 +40,35 @@ def started_warp():
     return wp
 
 
-class WarpDevice(Device):
+class _Command:
+    """A launch with its arguments packed; stage: that is charged."""
+
+    def __init__(self, device, stage, launch, args):
+        self.device, self.stage, self.launch, self.args = device, stage, launch, args
+
+    def set(self, args):
+        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
+            if new is old or (isinstance(new, int | float | np.number) and new == old):
+                continue
+            self.launch.set_param_at_index(index, new)
+        self.args = args
+
+    def start(self):
+        self.device._timed(self.stage, self.launch.launch)
+
+
+class _Copy:
+    """A copy between two arrays in turn with the kernels."""
+
+    def __init__(self, device, *what):
+        self.device, self.what, self.stage = device, what, device._clock.charged or "copies"
+
+    def start(self):
+        target, source, count, start, to = self.what
+        self.device._timed(self.stage, lambda: self.device._wp.copy(target, source, to, start, count))
+
+
+class WarpDevice(Taped):
     """One Warp device: `cpu` or `cuda:N`."""
 
     kind = "warp"
@@ -67,49 +95,65 @@ class WarpDevice(Device):
     def memory(self):
         return self.wp_device.free_memory if self.is_gpu else super().memory
 
-    def array(self, values, dtype=np.float32):
-        if isinstance(values, self._wp.array):
-            return values
+    def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
         return self._wp.array(values, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device,
                               copy=not self.on_host)
 
-    def empty(self, shape, dtype=np.float32):
+    def _empty(self, shape, dtype):
         return self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device)
 
-    def numpy(self, array):
-        return array if isinstance(array, np.ndarray) else array.numpy()
+    def _reshape(self, array, shape):
+        return array.reshape(shape)
 
-    def stack(self, arrays):
-        result = self._wp.empty((len(arrays), *arrays[0].shape), dtype=arrays[0].dtype, device=self.wp_device)
-        for number, array in enumerate(arrays):
-            self._wp.copy(result, array, dest_offset=number * array.size, count=array.size)
-        return result
+    def _numpy(self, array):
+        return array.numpy()
 
-    def part(self, array, index):
-        result = self._wp.empty(array.shape[1:], dtype=array.dtype, device=self.wp_device)
-        self._wp.copy(result, array, src_offset=index * result.size, count=result.size)
-        return result
+    def _place(self, array):
+        return array.ptr, array.shape, array.dtype
 
-    def launch(self, stage, kernel, grid, *args, defines=None, group=None):
+    def _dtype(self, array):
+        return np.dtype(self._wp.dtype_to_numpy(array.dtype))
+
+    def _copy(self, target, source, count, start, to):
+        return _Copy(self, target, source, count, start, to)
+
+    def _launch(self, stage, kernel, grid, args, defines, group):
+        entry, options = self._entry(stage, kernel, defines, args, group)
+        if self._clock.times is not None and self.is_gpu:
+            # arguments are packed before the clock starts: the device would wait for Python in between
+            self._command(stage, kernel, grid, args, defines, group).start()
+        else:
+            self._timed(self._clock.charged or stage, lambda: self._wp.launch(
+                entry, dim=grid, inputs=args, device=self.wp_device, **options))
+
+    def _entry(self, stage, kernel, defines, args, group):
+        """The kernel, and how it is launched."""
         options = {} if group is None or not self.is_gpu else {"block_dim": int(np.prod(group))}
-        clock = self._clock
         with self._lock:
-            entry = self._kernel(stage, kernel, defines or {}, args, options)
-        begin = time.perf_counter()
-        if clock.times is not None and self.is_gpu:
+            return self._kernel(stage, kernel, defines, args, options), options
+
+    def _command(self, stage, kernel, grid, args, defines, group):
+        entry, options = self._entry(stage, kernel, defines, args, group)
+        launch = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
+        return _Command(self, self._clock.charged or stage, launch, args)
+
+    def _timed(self, stage, start):
+        """Start something on the device, and time it where that is asked for."""
+        clock = self._clock
+        if clock.times is None:
+            start()
+        elif self.is_gpu:
             first = self._wp.Event(self.wp_device, enable_timing=True)
             last = self._wp.Event(self.wp_device, enable_timing=True)
-            # arguments are packed before the clock starts: the device would wait for Python in between
-            command = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
             self._wp.record_event(first)
-            command.launch()
+            start()
             self._wp.record_event(last)
-            clock.events.append((clock.charged or stage, first, last))
-            return
-        self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, **options)
-        if clock.times is not None:
-            clock.times[clock.charged or stage] += 1e3 * (time.perf_counter() - begin)  # CPU launches return when done
+            clock.events.append((stage, first, last))
+        else:  # CPU launches return when done
+            begin = time.perf_counter()
+            start()
+            clock.times[stage] += 1e3 * (time.perf_counter() - begin)
 
     def _kernel(self, stage, kernel, defines, args, options):
         module = f"gpusim.kernels.{stage}_warp"

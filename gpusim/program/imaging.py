@@ -18,7 +18,7 @@ from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
-from gpusim.program.kept import Kept, One
+from gpusim.program.kept import Kept
 from gpusim.program.tables import LensTables
 
 WHOLE = (slice(None), slice(None))
@@ -34,7 +34,7 @@ class Imaging:
     def light(self, made: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
         table = None if made.content.is_spectral else made.content.entry_spectra.T
-        return self._warped(made, self._planes(made.content, table, WHOLE))
+        return self._warped(made, self.planes(table, self.stored(made.content)))
 
     def _warped(self, made: Plan, planes):
         """Planes as the distortion puts them."""
@@ -45,19 +45,36 @@ class Imaging:
         return warp(planes, self.device.array(made.warp.nodes[None]), shape, border, made.warp.method,
                     device=self.device)
 
-    def rates(self, made: Plan, kept: Kept | None = None):
+    def window(self, made: Plan):
+        """The scene's samples that are of use, along both axes: all, or the frame's alone."""
+        margin = made.scene.margin
+        # without blur or distortion nothing outside the frame is needed
+        inside = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
+        return inside, inside
+
+    def stored(self, content, window=WHOLE):
+        """A content's samples in a window on the device: entries, and which entry each has or None."""
+        device = self.device
+        return (device.array(content.planes[(..., *window)]),
+                None if content.labels is None else device.array(content.labels[window], np.uint16))
+
+    def planes(self, table, stored):
+        """Planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
+        entries, ids = stored
+        if ids is not None:
+            return materials(ids, entries, self.device.array(table), device=self.device)
+        return entries if table is None else integrate(entries, self.device.array(table), device=self.device)
+
+    def rates(self, made: Plan, planes=None):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
 
-        kept: where the planes before the blur are kept for the next plan of the same scene.
+        planes: of the scene, before the blur, where they are known.
         """
-        device, content, margin = self.device, made.content, made.scene.margin
+        device, margin = self.device, made.scene.margin
         cfa = self.camera.sensor.cfa_indices
         border = "edge" if made.scene.border == "scene" else made.scene.border
-        # without blur or distortion nothing outside the frame is needed
-        window = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
-        kept = kept or Kept()
-        planes = kept("planes before the blur", (One(content), made.table, window), lambda: self._planes(
-            content, made.table, (window, window), kept))
+        if planes is None:
+            planes = self.planes(made.table, self.stored(made.content, self.window(made)))
         planes = self._warped(made, planes)
         if made.gains is None:
             return self.pixels(made, planes), cfa
@@ -101,7 +118,7 @@ class Imaging:
         lights, alphas, layers = [], [], []
         for layer in range(depth.layers):
             content, coverage, confusion = depth.sheet(layer, made.content)
-            own = planes if content is made.content else self._planes(content, made.table, WHOLE)
+            own = planes if content is made.content else self.planes(made.table, self.stored(content))
             for kernel, share in depth.shares(coverage, confusion):
                 bands = self.tables.all_bands(made, depth.distances[kernel])
                 share = device.array(share[None])
@@ -151,16 +168,6 @@ class Imaging:
                                  for c in range(rates.shape[0])])
         return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
                      device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
-
-    def _planes(self, content, table, window, kept=None):
-        """The planes that are transformed, or the channels themselves, as an array of the device."""
-        device = self.device
-        stored, ids = (kept or Kept())("content", (One(content), window), lambda: (
-            device.array(content.planes[(..., *window)]),
-            None if content.labels is None else device.array(content.labels[window], np.uint16)))
-        if ids is not None:
-            return materials(ids, stored, device.array(table), device=device)
-        return stored if table is None else integrate(stored, device.array(table), device=device)
 
     def exposed(self, made: Plan, rates, exposure_time):
         """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""

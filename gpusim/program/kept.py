@@ -1,51 +1,111 @@
 """What was computed before, given again while what it was made of stays the same."""
 
+import itertools
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
+from gpusim.backends.tape import Tape, noted
+
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
+OTHER, REFILLED, SAME = range(3)  # how a key relates to another
 
 
 @dataclass(frozen=True, eq=False)
 class One:
-    """What another step gave, or a user: the same while it is one object, whatever its values."""
+    """What another step gave, or a user: the same while it is one object of one version, whatever its values."""
 
     value: Any
+    version: int = 0
 
 
 class Kept:
-    """One value of each name, with the key that it was made for."""
+    """One value of each name, with the key that it was made for.
 
-    def __init__(self):
-        self._values: dict[str, tuple[Any, Any]] = {}
+    device: where steps that are made again and again run on tapes (see `gpusim.backends.tape`), and then write to the
+    arrays that they gave before; by default every value is new. One thread at a time then; threads may share others.
+    """
+
+    def __init__(self, device: Device | None = None):
+        self._device = None if device is None or device.kind == "numpy" else device
+        self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
+        self._owners: dict[int, tuple[str, int]] = {}  # of arrays that are written again, by id: step and version
+        self._versions = itertools.count(1)
+
+    def one(self, value) -> One:
+        """The value as part of a key: the same until the step that made it writes to it again."""
+        return One(value, self._owners.get(id(value), ("", 0))[1])
 
     def __call__(self, name: str, key, make):
-        """What `make()` gave for a key that is the same, see `same`, or gives now."""
-        found = self._values.get(name)  # read once: another thread may put its own there
-        if found is None or not same(found[0], key):
-            found = self._values[name] = key, make()
-        return found[1]
+        """What `make()` gave for a key that is the same, see `compared`, or gives now."""
+        found = self._entries.get(name)  # read once: another thread may put its own there
+        change = OTHER if found is None else compared(found[0], key)
+        if found is not None and change == SAME:
+            return found[1]
+        tape = None if found is None or self._device is None else found[2] or Tape()
+        try:
+            if found is not None and found[2] and change == REFILLED and found[2].is_replayable:
+                found[2].replay()
+                value = found[1]
+            else:
+                with noted(tape):
+                    value = make()
+        except BaseException:
+            if tape is not None:  # its arrays may be half written
+                self._entries.pop(name, None)
+            raise
+        self._entries[name] = key, value, tape
+        if self._device is not None:
+            self._renew(name, None if found is None else found[1], value)
+        return value
+
+    def _renew(self, name, before, value):
+        """Tell the arrays that a step wrote to from what they were."""
+        now = [part for part in (value if isinstance(value, tuple) else (value,))
+               if isinstance(part, self._device.array_type)]
+        for part in before if isinstance(before, tuple) else (before,):
+            if self._owners.get(id(part), ("", 0))[0] == name and not any(part is other for other in now):
+                del self._owners[id(part)]
+        for part in now:
+            if self._owners.get(id(part), (name, 0))[0] == name:  # what a step hands on is not its own
+                self._owners[id(part)] = name, next(self._versions)
 
     def __getstate__(self):
-        return {"_values": {}}  # arrays of a device, made anew
+        return {"_device": self._device, "_entries": {}, "_owners": {}, "_versions": itertools.count(1)}  # made anew
 
 
 def same(a, b) -> bool:
     """Whether two keys name one thing: equal numbers, texts and arrays, field by field; else one object."""
+    return compared(a, b) == SAME
+
+
+def compared(a, b) -> int:
+    """SAME where two keys name one thing; REFILLED where some of its arrays were written to since; else OTHER."""
     if a is b:
-        return True
+        return SAME
     if type(a) is not type(b):
-        return False
+        return OTHER
     if isinstance(a, One):
-        return a.value is b.value
+        return OTHER if a.value is not b.value else SAME if a.version == b.version else REFILLED
     if isinstance(a, PLAIN):
-        return bool(a == b)
+        return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
-        return len(a) == len(b) and all(map(same, a, b))
+        return _all(a, b) if len(a) == len(b) else OTHER
     if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and np.array_equal(a, b)
+        return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
     if is_dataclass(a):
-        return all(same(getattr(a, part.name), getattr(b, part.name)) for part in fields(a))
-    return False
+        names = [part.name for part in fields(a)]
+        return _all([getattr(a, name) for name in names], [getattr(b, name) for name in names])
+    return OTHER
+
+
+def _all(a, b):
+    """The least of what pairs of parts are."""
+    least = SAME
+    for pair in zip(a, b, strict=True):
+        least = min(least, compared(*pair))
+        if least == OTHER:
+            break
+    return least

@@ -11,7 +11,7 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One
-from gpusim.program.shots import Shots
+from gpusim.program.shots import Shots, without_tone
 
 SAME = object()  # of `Program.update`: as it was
 
@@ -20,15 +20,16 @@ class Program:
     """Frames of one scene by a Simulator, for previews and loops in which one thing changes at a time.
 
     exposure_time, gain: as for `Simulator.expose`. A step runs where something before it has changed: another tone
-    curve encodes anew, another read noise is drawn and processed, another f-number blurs. Scenes count as unchanged
-    while they are the same object: give a new Scene where its arrays have been written to.
-    Arrays that it gives are the device's: read, do not write them.
+    curve encodes anew, another read noise is drawn and processed, another f-number blurs. What runs again writes to the
+    arrays of the run before. Arrays that the program gives are the device's: read them before the program goes on, do
+    not write them. Scenes count as unchanged while they are the same object: give a new Scene where its arrays have
+    been written to. A program is used by one thread at a time.
     """
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
         self.simulator, self.scene = simulator, scene
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
-        self._kept = Kept()
+        self._kept = Kept(simulator.device)
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
@@ -52,21 +53,39 @@ class Program:
     @property
     def exposure(self) -> Exposure:
         """Mean electrons of the scene, with all that frames of it need. Raises BadData, DoesNotFit, OutOfRange."""
-        simulator, start = self.simulator, time.perf_counter()
-        plan = self.plan
-        with simulator.device.timed() as ms:
-            rates = self._kept("rates", One(plan), lambda: simulator.imaging.rates(plan, self._kept))
-            metering = One(plan), simulator.metered_by, self._exposure_time, self._gain
-            seconds, gain = self._kept("metered", metering, lambda: simulator.metered(
-                self._exposure_time, self._gain, lambda: self._kept(
-                    "per second", One(plan), lambda: simulator.imaging.exposed(plan, rates, 1.0))))
-            mean = self._kept("mean", (One(plan), seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
-        return exposed(simulator, plan, mean, seconds, gain, ms, start, self._kept)
+        start = time.perf_counter()
+        with self.simulator.device.timed() as ms:
+            exposure = self._exposed()
+        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (time.perf_counter() - start))
+
+    def _exposed(self):
+        """The exposure without its times."""
+        simulator, kept, plan = self.simulator, self._kept, self.plan
+        imaging, content = simulator.imaging, plan.content
+        window = imaging.window(plan)
+        stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
+        planes = kept("planes", ([kept.one(part) for part in stored], plan.table),
+                      lambda: imaging.planes(plan.table, stored))
+        rates = kept("rates", (kept.one(planes), One(plan)), lambda: imaging.rates(plan, planes))
+        of = kept.one(rates[0]), One(plan)
+        seconds, gain = self._metered(of, lambda: kept("per second", of, lambda: imaging.exposed(plan, rates, 1.0)))
+        mean = kept("mean", (*of, seconds), lambda: imaging.exposed(plan, rates, seconds))
+        return exposed(simulator, plan, mean, seconds, gain, kept)
+
+    def _metered(self, of, per_second):
+        """Exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
+        simulator, seconds = self.simulator, self._exposure_time
+        seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
+        if seconds is not None:
+            return simulator.metered(seconds, self._gain, None)
+        light = per_second()
+        return self._kept("metered", (*of, simulator.metered_by, self._gain),
+                          lambda: simulator.metered(None, self._gain, lambda: light))
 
     @property
     def shots(self) -> Shots:
         """Frames of the exposure."""
-        return Shots(self.simulator, self.exposure, self._kept)
+        return Shots(self.simulator, self._exposed(), self._kept)
 
     def raw(self, *, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame, on the device."""
@@ -79,20 +98,18 @@ class Program:
 
     def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
         """One picture with its report."""
-        return self.shots.frame(seed=seed, frame=frame)
+        return Shots(self.simulator, self.exposure, self._kept).frame(seed=seed, frame=frame)
 
 
-def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, start: float, kept: Kept) -> Exposure:
-    """The exposure of mean electrons [e-], an array of the device.
+def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:
+    """The exposure of mean electrons [e-], an array of the device, without the times that it took.
 
-    seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. ms: per stage, until now; start: when the work
-    began [s, perf_counter]. kept: what was made before for exposures alike.
+    seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. kept: what was made before for exposures alike.
     """
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
-    camera = dataclasses.replace(simulator.camera, sensor=readout.operated(gain))
-    with simulator.device.timed() as more:
-        expected = kept("expected", (One(mean), seconds, readout.chip), lambda: readout.expected(mean, seconds))
-    ms = {name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}}
+    camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
+        simulator.camera, sensor=readout.operated(gain)))
+    expected = kept("expected", (kept.one(mean), seconds, readout.chip), lambda: readout.expected(mean, seconds))
     gains = None
     if processor.shading:
         falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,
@@ -101,13 +118,11 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, ms: dict, 
     operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
               sensor.channels, sensor.stacked, operated.saturation, operated.gain_dn_per_electron,
-              operated.white_level, operated.dark_level, sensor.auto_exposure, dataclasses.replace(processor, tone=()),
-              camera.display, seconds, readout.pixels)
-    colored = kept("rendering", colors, lambda: rendering(
-        plan, camera, seconds, readout.pixels, simulator.kept))
+              operated.white_level, operated.dark_level, sensor.auto_exposure, without_tone(processor), camera.display,
+              seconds, readout.pixels)
+    colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    wall = 1e3 * (time.perf_counter() - start)
-    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, ms, wall, simulator.device)
+    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, device=simulator.device)
 
 
 def _shading(simulator, plan):

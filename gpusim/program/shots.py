@@ -1,7 +1,7 @@
 """From an exposure on: frames are drawn, processed and reported; what a change does not touch is kept."""
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -17,6 +17,11 @@ from gpusim.truth import PROBES
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
 
 
+def without_tone(processor) -> tuple:
+    """What a processor does before its tone curve, as a part of a key."""
+    return tuple(getattr(processor, part.name) for part in fields(processor) if part.name != "tone")
+
+
 class Shots:
     """Frames of one exposure by a Simulator. Arrays are the device's, layers of stacked pixels one below the other.
 
@@ -30,9 +35,9 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        key = One(exposure.expected), exposure.camera.sensor, readout.sensor, exposure.exposure_time, seed, frame
-        return self._kept("raw", key, lambda: readout.draw(exposure.expected, exposure.exposure_time,
-                                                           gain=exposure.gain, seed=seed, frame=frame))
+        of = self._kept.one(exposure.expected), exposure.camera.sensor, readout.sensor, exposure.exposure_time
+        return self._kept("raw", (*of, seed, frame), lambda: readout.draw(
+            exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame))
 
     @property
     def developer(self) -> Developer:
@@ -58,33 +63,33 @@ class Shots:
     def planes(self, raw):
         """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
         exposure, processor = self.exposure, self.exposure.camera.processor
-        white, correction = exposure.rendering.neutral, (exposure.gains, exposure.blur)
-        asked = processor.demosaic, processor.table, processor.denoise, processor.defects
-        return self._kept("planes", (One(raw), *asked, white, *correction), lambda: self.developer.demosaicked(
-            raw, white=white, known=self.defects, gains=exposure.gains, blur=exposure.blur))
+        white, gains, blur = exposure.rendering.neutral, exposure.gains, exposure.blur
+        asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, gains, blur
+        return self._kept("camera planes", (self._kept.one(raw), *asked), lambda: self.developer.demosaicked(
+            raw, white=white, known=self.defects, gains=gains, blur=blur))
 
     def linear(self, raw):
         """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""
-        planes, once = self.planes(raw), self.exposure.rendering
+        kept, developer, planes, once = self._kept, self.developer, self.planes(raw), self.exposure.rendering
         camera, averaged = self.exposure.camera, self.simulator.readout.averaged
-        by = replace(camera.processor, tone=()), camera.display, camera.sensor, camera.optics.transmission, averaged
-        rendering = self._kept("white", (One(planes), One(once), *by), lambda: self.developer.balanced(planes, once))
-        shown = self._kept("linear", (One(planes), One(rendering)), lambda: self.developer.colored(planes, rendering))
+        by = without_tone(camera.processor), camera.display, camera.sensor, camera.optics.transmission, averaged
+        rendering = kept("white", (kept.one(planes), One(once), *by), lambda: developer.balanced(planes, once))
+        shown = kept("linear", (kept.one(planes), One(rendering)), lambda: developer.colored(planes, rendering))
         return shown, rendering
 
     def developed(self, raw):
         """Linear display RGB, display codes (rows, cols, 3), and the rendering."""
         shown, rendering = self.linear(raw)
         camera = self.exposure.camera
-        codes = self._kept("codes", (One(shown), camera.processor.tone, camera.display),
+        codes = self._kept("codes", (self._kept.one(shown), camera.processor.tone, camera.display),
                            lambda: self.developer.encoded(shown))
         return shown, codes, rendering
 
     def codes(self, raw):
         """Display codes (rows, cols, 3) alone: in one pass where the camera allows it."""
         camera, rendering = self.exposure.camera, self.exposure.rendering
-        codes = self._kept("at once", (One(raw), One(rendering), camera.processor, camera.display),
-                           lambda: self.developer.in_one_pass(raw, rendering))
+        of = self._kept.one(raw), One(rendering), camera.processor, camera.display
+        codes = self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
         return self.developed(raw)[1] if codes is None else codes
 
     def frame(self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True) -> Frame:
@@ -93,7 +98,8 @@ class Shots:
         with device.timed() as ms:
             raw = self.raw(seed, frame)
             shown, rgb, rendering = self.developed(raw)
-        mean = np.array(self._kept("mean of pixels", (One(exposure.mean), self.simulator.readout.sensor), self._mean))
+        of = self._kept.one(exposure.mean), self.simulator.readout.sensor
+        mean = np.array(self._kept("mean of pixels", of, self._mean))
         raw, shown, rgb = (np.array(device.numpy(array)) for array in (raw, shown, rgb))
         wall = 1e3 * (time.perf_counter() - start) + (exposure.wall_ms if first else 0.0)
         times = {**exposure.ms, **ms} if first else ms

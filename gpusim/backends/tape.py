@@ -1,0 +1,198 @@
+"""What a computation asks of a device, noted once: made again, it allocates, builds and copies nothing anew."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+
+from gpusim.backends.device import Device
+
+SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are given to the device again
+
+
+class Tape:
+    """The requests of one computation to one device, in order. It is used by one thread at a time.
+
+    When the computation is made again on its tape, each request is compared with the one noted in its place. Equal ones
+    get what was made then: the same arrays, which are written anew, constants and kernels. From the first other request
+    on, the tape is noted anew. So the result never depends on what was noted.
+    `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
+    memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
+    reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
+    """
+
+    def __init__(self):
+        self._requests: list = []
+        self._at = 0
+        self._commands: list = []
+        self.reads: list[str] = []
+        self.host_work: list[str] = []
+
+    def begin(self):
+        """The computation is made (again) from here on."""
+        self._at = 0
+        self._commands, self.reads, self.host_work = [], [], []
+
+    def again(self, request, make):
+        """What `make()` gave for the request in this place, or gives now."""
+        if self._at < len(self._requests) and self._requests[self._at][0] == request:
+            found = self._requests[self._at][1]
+        else:
+            del self._requests[self._at :]
+            found = make()
+            self._requests.append((request, found))
+        self._at += 1
+        return found
+
+    def start(self, command):
+        """Start a command, and note that."""
+        self._commands.append(command)
+        command.start()
+
+    @property
+    def is_replayable(self) -> bool:
+        """Whether the noted kernels are all there is to do."""
+        return not (self.reads or self.host_work)
+
+    def replay(self):
+        """Start the noted kernels once more, for inputs in the memory that they had."""
+        for command in self._commands:
+            command.start()
+
+
+class _Current(threading.local):
+    tape: Tape | None = None
+
+
+_current = _Current()
+
+
+@contextmanager
+def noted(tape: Tape | None):
+    """What devices are asked for inside the block is noted on the tape; on none, if that is None."""
+    outer, _current.tape = _current.tape, tape
+    if tape is not None:
+        tape.begin()
+    try:
+        yield
+    except BaseException:
+        if tape is not None:
+            tape._requests.clear()  # what was noted may be half of a request
+        raise
+    finally:
+        _current.tape = outer
+
+
+class Taped(Device):
+    """A device whose requests can be noted. A backend defines what is asked with a leading underscore.
+
+    Of a launch it makes a command: `set(args)` gives it other arguments of the same kinds, `start()` starts it.
+    """
+
+    def array(self, values, dtype=np.float32):
+        if isinstance(values, self.array_type):
+            return values
+        tape = _current.tape
+        if tape is None:
+            return self._array(values, dtype)
+        values = np.ascontiguousarray(values, dtype)
+        if values.nbytes > SMALL:
+            return self._array(values, dtype)
+        # a copy: the device may use the memory that it is given
+        return tape.again(("array", values.shape, values.dtype.str, values.tobytes()),
+                          lambda: self._array(values.copy(), dtype))
+
+    def empty(self, shape, dtype=np.float32):
+        tape = _current.tape
+        if tape is None:
+            return self._empty(shape, dtype)
+        return tape.again(("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype))
+
+    def reshape(self, array, shape):
+        tape = _current.tape
+        if tape is None:
+            return self._reshape(array, shape)
+        return tape.again(("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape))
+
+    def numpy(self, array):
+        if isinstance(array, np.ndarray):
+            return array
+        tape = _current.tape
+        if tape is not None and not self._clock.host_work:
+            tape.reads.append(self._clock.charged or "between the stages")
+        return self._numpy(array)
+
+    @contextmanager
+    def host_work(self):
+        tape, clock = _current.tape, self._clock
+        if tape is not None:
+            tape.host_work.append(clock.charged)
+        outer, clock.host_work = clock.host_work, True
+        try:
+            with super().host_work():
+                yield
+        finally:
+            clock.host_work = outer
+
+    def stack(self, arrays):
+        result = self.empty((len(arrays), *arrays[0].shape), self._dtype(arrays[0]))
+        size = int(np.prod(arrays[0].shape))
+        for number, array in enumerate(arrays):
+            self._copied(result, array, size, 0, number * size)
+        return result
+
+    def part(self, array, index):
+        result = self.empty(array.shape[1:], self._dtype(array))
+        size = int(np.prod(result.shape))
+        self._copied(result, array, size, index * size, 0)
+        return result
+
+    def _copied(self, target, source, count, start, to):
+        """Copy `count` values between arrays in turn with what is launched."""
+        tape, what = _current.tape, (target, source, count, start, to)
+        if tape is None:
+            self._copy(*what).start()
+        else:
+            places = self._place(target), self._place(source), count, start, to
+            tape.start(tape.again(("copy", *places), lambda: self._copy(*what)))
+
+    def launch(self, stage, kernel, grid, *args, defines=None, group=None):
+        tape = _current.tape
+        if tape is None:
+            self._launch(stage, kernel, grid, args, defines or {}, group)
+        elif 0 not in grid:
+            request = stage, kernel, tuple(grid), group, defines
+            command = tape.again(request, lambda: self._command(stage, kernel, grid, args, defines or {}, group))
+            command.set(args)
+            tape.start(command)
+
+    def _array(self, values, dtype):
+        """Array of this device with these values, not one of its own already."""
+        raise NotImplementedError
+
+    def _empty(self, shape, dtype):
+        raise NotImplementedError
+
+    def _reshape(self, array, shape):
+        raise NotImplementedError
+
+    def _numpy(self, array):
+        raise NotImplementedError
+
+    def _place(self, array):
+        """What tells an array's memory and its form from another's."""
+        raise NotImplementedError
+
+    def _dtype(self, array) -> np.dtype:
+        raise NotImplementedError
+
+    def _copy(self, target, source, count, start, to):
+        """Command that copies `count` values of `source` from `start` on to `target` from `to` on."""
+        raise NotImplementedError
+
+    def _launch(self, stage, kernel, grid, args, defines, group):
+        raise NotImplementedError
+
+    def _command(self, stage, kernel, grid, args, defines, group):
+        """Command that launches with these arguments."""
+        raise NotImplementedError
