@@ -10,7 +10,18 @@ from contextlib import contextmanager
 import numpy as np
 
 from gpusim.domain.errors import DeviceError
-from gpusim.domain.memory import host_memory
+from gpusim.domain.memory import Pinned, host_memory
+
+
+class Transfer:
+    """An array on its way to a device."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def join(self):
+        """Let what is launched from now on wait for it; returns the array."""
+        return self.array
 
 
 class _Clock(threading.local):
@@ -82,6 +93,25 @@ class Device:
     def part(self, array, index: int):
         """A copy of `array[index]`, on the device."""
         return np.array(array[index])
+
+    def pinned(self, shape, dtype=np.float32) -> Pinned:
+        """Uninitialised array of the host that is copied to this device at the full rate of the bus."""
+        return np.empty(shape, dtype).view(Pinned)
+
+    def send(self, values, target=None, after=None):
+        """Begin to copy `values` to this device, beside what it computes: a `Transfer`, or what is done by then.
+
+        target: array of this device to copy to, of their shape and type; a new one if None. after: what `mark` gave
+        when the last kernel that reads the target had been launched. The values stay as they are until `Transfer.join`.
+        """
+        return Transfer(self.array(values, values.dtype))
+
+    def fetch(self, array):
+        """Begin to copy an array of this device to the host, after what was launched; call the result for values."""
+        return lambda: self.numpy(array)
+
+    def mark(self):
+        """A place in what was launched, for `send`."""
 
     def launch(self, stage: str, kernel: str, grid: tuple, *args, defines: dict | None = None, group=None):
         """Start `kernel` of `stage` over `grid` (slowest axis first; kernels guard their bounds).

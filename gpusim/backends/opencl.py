@@ -3,16 +3,18 @@
 import sqlite3
 import sys
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from math import prod
 from pathlib import Path
 
 import numpy as np
 
 from gpusim.backends.caches import prepare_opencl
+from gpusim.backends.device import Transfer
 from gpusim.backends.pocl import known_processor
-from gpusim.backends.tape import Taped
+from gpusim.backends.tape import SMALL, Taped
 from gpusim.domain.errors import DeviceError
+from gpusim.domain.memory import Pinned
 
 PAGE = 4096
 FREE_BLOCKS = 32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
@@ -80,6 +82,16 @@ class _Command:
         device._keep(self.args)
 
 
+class _Transfer(Transfer):
+    def __init__(self, device, array, event):
+        super().__init__(array)
+        self.device, self.event = device, event  # the event keeps the values
+
+    def join(self):
+        self.device._cl.enqueue_barrier(self.device.queue, wait_for=[self.event])
+        return self.array
+
+
 class _Copy:
     """A copy between two arrays in turn with the kernels."""
 
@@ -115,9 +127,12 @@ class OpenCLDevice(Taped):
         self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        self._copies = self.queue if self.on_host else cl.CommandQueue(self.context)  # beside the kernels
         self._kernels: dict = {}
         self._programs: dict = {}
         self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
+        self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
+        self._sent: deque = deque()  # small copies to the device that may not have ended
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
 
@@ -134,7 +149,15 @@ class OpenCLDevice(Taped):
             buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=values)
             return OpenCLArray(buffer, values.shape, dtype, values)
         result = self._empty(values.shape, dtype)
-        self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
+        if values.nbytes > SMALL:
+            self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
+        else:  # a blocking copy would wait for all that was launched before
+            event = self._cl.enqueue_copy(self.queue, result.buffer, values.copy(), is_blocking=False)
+            done = self._cl.command_execution_status.COMPLETE
+            with self._lock:
+                self._sent.append(event)  # it keeps the values
+                while self._sent and self._sent[0].command_execution_status == done:
+                    self._sent.popleft()
         return result
 
     def _empty(self, shape, dtype):
@@ -157,6 +180,42 @@ class OpenCLDevice(Taped):
         start = -store.ctypes.data % PAGE
         host = store[start : start + nbytes]
         return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host), host
+
+    def pinned(self, shape, dtype=np.float32):
+        if self.on_host:
+            return super().pinned(shape, dtype)
+        flags, dtype = self._cl.mem_flags, np.dtype(dtype)
+        buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.ALLOC_HOST_PTR,
+                                 max(prod(shape) * dtype.itemsize, 1))
+        both = self._cl.map_flags.READ | self._cl.map_flags.WRITE
+        values, _ = self._cl.enqueue_map_buffer(self.queue, buffer, both, 0, tuple(shape), dtype)  # it keeps the buffer
+        return values.view(Pinned)
+
+    def send(self, values, target=None, after=None):
+        if self.on_host:
+            return super().send(values)
+        target = self._empty(values.shape, values.dtype) if target is None else target
+        event = self._cl.enqueue_copy(self._copies, target.buffer, values, is_blocking=False,
+                                      wait_for=None if after is None else [after])
+        self._copies.flush()
+        return _Transfer(self, target, event)
+
+    def fetch(self, array):
+        if self.on_host:
+            return super().fetch(array)
+        free = self._landings[array.shape, array.dtype]
+        values = free.pop() if free else self.pinned(array.shape, array.dtype)
+        event = self._cl.enqueue_copy(self.queue, values, array.buffer, is_blocking=False)
+
+        def fetched():
+            event.wait()
+            free.append(values)
+            return np.array(values, copy=True, subok=False)
+
+        return fetched
+
+    def mark(self):
+        return None if self.on_host else self._cl.enqueue_marker(self.queue)
 
     def _reshape(self, array, shape):
         host = None if array.host is None else array.host.reshape(shape)

@@ -44,6 +44,14 @@ class Tape:
         self._at += 1
         return found
 
+    def constant(self, values, make):
+        """Array of these values: that of this place if it has them, else `make()`; the rest of the tape stays."""
+        text = values.tobytes()
+        found = self.again(("array", values.shape, values.dtype.str), lambda: [text, make()])
+        if found[0] != text:
+            found[:] = text, make()
+        return found[1]
+
     def start(self, command):
         """Start a command, and note that."""
         self._commands.append(command)
@@ -98,9 +106,7 @@ class Taped(Device):
         values = np.ascontiguousarray(values, dtype)
         if values.nbytes > SMALL:
             return self._array(values, dtype)
-        # a copy: the device may use the memory that it is given
-        return tape.again(("array", values.shape, values.dtype.str, values.tobytes()),
-                          lambda: self._array(values.copy(), dtype))
+        return tape.constant(values, lambda: self._array(values.copy(), dtype))  # it may use what it is given
 
     def empty(self, shape, dtype=np.float32):
         tape = _current.tape

@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 import time
+from collections import defaultdict
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,9 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.caches import is_writable, lent_folder
+from gpusim.backends.device import Transfer
 from gpusim.backends.native import native_kernel
 from gpusim.backends.tape import Taped
 from gpusim.domain.errors import DeviceError
+from gpusim.domain.memory import Pinned
 
 
 def started_warp():
@@ -57,6 +60,16 @@ class _Command:
         self.device._timed(self.stage, self.launch.launch)
 
 
+class _Transfer(Transfer):
+    def __init__(self, device, array, source, event):
+        super().__init__(array)
+        self.device, self.source, self.event = device, source, event
+
+    def join(self):
+        self.device.wp_device.stream.wait_event(self.event)
+        return self.array
+
+
 class _Copy:
     """A copy between two arrays in turn with the kernels."""
 
@@ -87,6 +100,8 @@ class WarpDevice(Taped):
         if self.is_gpu:  # Warp's kernels keep 4 bytes a work-item for themselves
             self.local_bytes = min(self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit)
         self.array_type = wp.array
+        self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # beside the kernels
+        self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._natives: dict = {}  # kernels from OpenCL text
         self._loaded: set = set()  # specialised kernels that are built
         self.build_ms: dict[str, float] = {}
@@ -102,6 +117,42 @@ class WarpDevice(Taped):
 
     def _empty(self, shape, dtype):
         return self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device)
+
+    def pinned(self, shape, dtype=np.float32):
+        if self.on_host:
+            return super().pinned(shape, dtype)
+        kind = self._wp.dtype_from_numpy(np.dtype(dtype))
+        values = self._wp.empty(shape, dtype=kind, device="cpu", pinned=True).numpy().view(Pinned)
+        return values
+
+    def send(self, values, target=None, after=None):
+        if self.on_host:
+            return super().send(values)
+        wp = self._wp
+        target = self._empty(values.shape, values.dtype) if target is None else target
+        if after is not None:
+            self._copies.wait_event(after)
+        source = wp.array(np.asarray(values), dtype=target.dtype, device="cpu", copy=False)
+        wp.copy(target, source, stream=self._copies)
+        return _Transfer(self, target, source, self._copies.record_event())
+
+    def fetch(self, array):
+        if self.on_host:
+            return super().fetch(array)
+        wp, free = self._wp, self._landings[array.shape, array.dtype]
+        values = free.pop() if free else wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
+        wp.copy(values, array)
+        event = self.wp_device.stream.record_event()
+
+        def fetched():
+            wp.synchronize_event(event)
+            free.append(values)
+            return np.array(values.numpy())
+
+        return fetched
+
+    def mark(self):
+        return None if self.on_host else self.wp_device.stream.record_event()
 
     def _reshape(self, array, shape):
         return array.reshape(shape)

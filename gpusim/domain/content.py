@@ -7,15 +7,22 @@ from typing import ClassVar
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.memory import Pinned
 from gpusim.domain.spectrum import Spectrum
 
 NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
+
+
+def is_seen(array) -> bool:
+    """Whether the values of an array of samples are looked at on the host."""
+    return isinstance(array, np.ndarray) and not isinstance(array, Pinned)
 
 
 @dataclass(frozen=True, eq=False)
 class Content:
     """Spectra at wavelengths (L,) [nm] of samples on a grid (rows, cols): each is a mix of a few entries' spectra.
 
+    Arrays of samples may lie on a device, or be Pinned: their values are not looked at here.
     form: its name. samples: names of the arrays with a value for each sample, their last two axes rows and columns.
     shared: names of those that all samples share.
     """
@@ -48,12 +55,13 @@ class Content:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of samples."""
-        return self.planes.shape[-2:]
+        rows, cols = self.planes.shape[-2:]
+        return rows, cols
 
     @property
     def nbytes(self) -> int:
         """What its samples take on a device [byte]."""
-        return 4 * self.planes.size + (0 if self.labels is None else 2 * self.labels.size)
+        return 4 * prod(self.planes.shape) + (0 if self.labels is None else 2 * prod(self.labels.shape))
 
     @property
     def lit(self) -> np.ndarray:
@@ -64,9 +72,13 @@ class Content:
         """The same with other `planes`."""
         return replace(self, **{self.samples[-1]: planes})
 
+    def with_samples(self, change):
+        """The same with `change(array)` in place of each array of samples."""
+        return replace(self, **{name: change(getattr(self, name)) for name in self.samples})
+
     def take(self, rows, cols):
         """Content of which each sample is that at (rows, cols), two arrays of one shape."""
-        return replace(self, **{name: getattr(self, name)[..., rows, cols] for name in self.samples})
+        return self.with_samples(lambda array: array[..., rows, cols])
 
     def behind(self, front, mask):
         """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""
@@ -125,10 +137,12 @@ class Content:
         Raises BadData, OutOfRange.
         """
         self._check_shapes(name)
-        if self.planes.size == 0:
+        if 0 in self.planes.shape:
             raise BadData(f"{name}: zero-size scene {self.planes.shape}")
         Spectrum(self.wavelengths, np.zeros(len(self.wavelengths)), name)  # checks the wavelengths
         for label, array in (("samples", self.planes), *(("spectra", getattr(self, key)) for key in self.shared)):
+            if not is_seen(array):
+                continue
             low, high = float(array.min()), float(array.max())
             if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
                 raise BadData(f"{name}: NaN or infinite {label}")
@@ -174,7 +188,7 @@ class Cube(Content):
         return np.tensordot(np.asarray(total, np.float32), self.values, 1)
 
     def _check_shapes(self, name):
-        if self.values.ndim != 3 or len(self.values) != len(self.wavelengths):
+        if len(self.values.shape) != 3 or self.values.shape[0] != len(self.wavelengths):
             raise BadData(f"{name}: cube of shape {self.values.shape}, wanted ({len(self.wavelengths)}, rows, cols)")
 
 
@@ -193,6 +207,8 @@ class Basis(Content):
 
     def check(self, name):
         super().check(name)
+        if not is_seen(self.coefficients):
+            return
         # coefficients may be negative, the spectra that they make may not
         lowest, highest = 0.0, 0.0
         for row in np.moveaxis(self.coefficients, 1, 0):  # row by row: the whole would be a cube
@@ -203,7 +219,8 @@ class Basis(Content):
                           "negative")
 
     def _check_shapes(self, name):
-        if self.coefficients.ndim != 3 or self.basis.shape != (len(self.coefficients), len(self.wavelengths)):
+        count = len(self.wavelengths)
+        if len(self.coefficients.shape) != 3 or self.basis.shape != (self.coefficients.shape[0], count):
             raise BadData(f"{name}: basis {self.basis.shape} does not match coefficients {self.coefficients.shape} and "
                           f"{len(self.wavelengths)} wavelengths")
 
@@ -246,9 +263,9 @@ class Materials(Content):
         return self.entry_spectra[used], light, self.shading[rows, cols].astype(np.float64)
 
     def _check_shapes(self, name):
-        if self.ids.ndim != 2 or self.shading.shape != self.ids.shape:
+        if len(self.ids.shape) != 2 or tuple(self.shading.shape) != tuple(self.ids.shape):
             raise BadData(f"{name}: ids {self.ids.shape} and shading {self.shading.shape} must be one (rows, cols)")
         if self.spectra.ndim != 2 or self.spectra.shape[1] != len(self.wavelengths):
             raise BadData(f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths")
-        if self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):
+        if is_seen(self.ids) and self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):
             raise OutOfRange(f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}")

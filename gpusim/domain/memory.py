@@ -3,7 +3,17 @@
 import os
 from pathlib import Path
 
+import numpy as np
+
 from gpusim.domain.errors import DoesNotFit
+
+
+class Pinned(np.ndarray):
+    """An array in host memory that a device copies from at the full rate of its bus: see `Device.pinned`.
+
+    Scenes do not look at its values, which are written as a video goes on. What is wrong with them is found on the
+    device, by the frame that is made of them or the next.
+    """
 
 
 def host_memory() -> int:

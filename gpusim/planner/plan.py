@@ -105,6 +105,22 @@ class Plan:
     not_met: str = ""
 
 
+    def serves(self, scene: Scene) -> bool:
+        """Whether it also says how to make a frame of another scene: of the same kind, and nothing here is of pixels.
+
+        Its predicted errors are those of its own scene then.
+        """
+        own = self.scene
+        if self.highlights is not None or own.depth is not None or scene.depth is not None:
+            return False
+        light, its = own.illuminant, scene.illuminant
+        return (own.content.is_like(scene.content) and own.content.shape == scene.content.shape
+                and (light is its or (np.array_equal(light.values, its.values)
+                     and np.array_equal(light.wavelengths, its.wavelengths)))
+                and all(getattr(own, name) == getattr(scene, name)
+                        for name in ("border", "margin", "fov", "samples_per_pixel")))
+
+
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
          tolerance: Tolerance | None = None, guaranteed: bool = False, reach: int | None = None,
          fft_free: bool = False, period: tuple[int, int] | None = None,

@@ -39,7 +39,11 @@ class Kept:
         return One(value, self._owners.get(id(value), ("", 0))[1])
 
     def __call__(self, name: str, key, make):
-        """What `make()` gave for a key that is the same, see `compared`, or gives now."""
+        """What `make()` gave for a key that is the same, see `compared`, or gives now.
+
+        key: all that `make` depends on. Where nothing but the contents of its arrays is new, its kernels are started
+        again without it.
+        """
         found = self._entries.get(name)  # read once: another thread may put its own there
         change = OTHER if found is None else compared(found[0], key)
         if found is not None and change == SAME:

@@ -3,6 +3,8 @@
 import dataclasses
 import time
 
+import numpy as np
+
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
@@ -10,7 +12,7 @@ from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
-from gpusim.program.kept import Kept, One
+from gpusim.program.kept import Kept, One, same
 from gpusim.program.shots import Shots, without_tone
 
 SAME = object()  # of `Program.update`: as it was
@@ -30,6 +32,7 @@ class Program:
         self.simulator, self.scene = simulator, scene
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self._kept = Kept(simulator.device)
+        self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
@@ -45,10 +48,29 @@ class Program:
 
     @property
     def plan(self) -> Plan:
-        """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange."""
-        facts = self._kept("facts", One(self.scene), lambda: Facts.of(self.scene))
-        by = One(self.scene), self.simulator.planned_by
-        return self._kept("plan", by, lambda: self.simulator.plan(self.scene, facts))
+        """What is modelled, and its predicted errors. Raises BadData, DoesNotFit, OutOfRange.
+
+        It is made anew for another kind of scene, and for a camera that asks for it. Other scenes of the same kind are
+        framed by the plan that is there: see `Plan.serves`.
+        """
+        by, scene = self.simulator.planned_by, self.scene
+        if self._plan is None or not same(self._plan[1], by) or not (
+                self._plan[0].scene is scene or self._plan[0].serves(scene)):
+            facts = self._kept("facts", One(scene), self._facts)
+            self._plan = self.simulator.plan(scene, facts), by
+        return self._plan[0]
+
+    def _facts(self):
+        """Facts of the scene, whose samples the host reads for them."""
+        numpy = self.simulator.device.numpy
+        seen = self.scene.content.with_samples(lambda array: np.asarray(numpy(array)))
+        return Facts.of(dataclasses.replace(self.scene, content=seen))
+
+    @property
+    def _content(self):
+        """What is in front of the camera, less what the plan has taken from it."""
+        plan, scene = self.plan, self.scene
+        return scene.content if plan.highlights is None and not scene.layers else plan.content
 
     @property
     def exposure(self) -> Exposure:
@@ -61,7 +83,7 @@ class Program:
     def _exposed(self):
         """The exposure without its times."""
         simulator, kept, plan = self.simulator, self._kept, self.plan
-        imaging, content = simulator.imaging, plan.content
+        imaging, content = simulator.imaging, self._content
         window = imaging.window(plan)
         stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
         planes = kept("planes", ([kept.one(part) for part in stored], plan.table),
@@ -109,7 +131,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
         simulator.camera, sensor=readout.operated(gain)))
-    expected = kept("expected", (kept.one(mean), seconds, readout.chip), lambda: readout.expected(mean, seconds))
+    of = kept.one(mean), seconds, readout.chip, sensor.cfa
+    expected = kept("expected", of, lambda: readout.expected(mean, seconds))
     gains = None
     if processor.shading:
         falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,

@@ -65,7 +65,8 @@ class Shots:
         exposure, processor = self.exposure, self.exposure.camera.processor
         white, gains, blur = exposure.rendering.neutral, exposure.gains, exposure.blur
         asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, gains, blur
-        return self._kept("camera planes", (self._kept.one(raw), *asked), lambda: self.developer.demosaicked(
+        of = self._kept.one(raw), exposure.camera.sensor, self.simulator.readout.averaged
+        return self._kept("camera planes", (*of, *asked), lambda: self.developer.demosaicked(
             raw, white=white, known=self.defects, gains=gains, blur=blur))
 
     def linear(self, raw):
@@ -88,7 +89,7 @@ class Shots:
     def codes(self, raw):
         """Display codes (rows, cols, 3) alone: in one pass where the camera allows it."""
         camera, rendering = self.exposure.camera, self.exposure.rendering
-        of = self._kept.one(raw), One(rendering), camera.processor, camera.display
+        of = self._kept.one(raw), camera.sensor, One(rendering), camera.processor, camera.display
         codes = self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
         return self.developed(raw)[1] if codes is None else codes
 
