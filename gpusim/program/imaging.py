@@ -55,8 +55,12 @@ class Imaging:
     def stored(self, content, window=WHOLE):
         """A content's samples in a window on the device: entries, and which entry each has or None."""
         device = self.device
-        return (device.array(content.planes[(..., *window)]),
-                None if content.labels is None else device.array(content.labels[window], np.uint16))
+
+        def cut(array):
+            return array if window == WHOLE else np.asarray(device.numpy(array))[(..., *window)]
+
+        return (device.array(cut(content.planes)),
+                None if content.labels is None else device.array(cut(content.labels), np.uint16))
 
     def planes(self, table, stored):
         """Planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
