@@ -113,8 +113,9 @@ __kernel void tally(
     for (int i = item * chunk; i < end; i += WIDTH) {
         const int lanes = min(WIDTH, end - i);
         const word number = AS_WORD(load(rates + i, lanes));
-        word key = (number & SIGN) != 0 ? ~number : number | SIGN;
-        key = (number & EXPONENT) == EXPONENT | (FIRST_LANES >= (uint)lanes) ? (word)NONE : key;
+        word key = (number & SIGN) != 0 ? ~number : (number | SIGN);
+        const integer is_none = ((number & EXPONENT) == EXPONENT) | (FIRST_LANES >= (uint)lanes);
+        key = is_none ? (word)NONE : key;
         const word high = key >> (uint)shift, bin = high & ((1u << bits) - 1), start = high >> (uint)bits;
 #pragma unroll
         for (int list = 0; list < LISTS; ++list) {

@@ -74,7 +74,8 @@ def limbs(fractions):
     With it, and any fraction of 53 bits above 2^-43, the kernels find the rank of the float64 product.
     """
     whole = [min(int(fraction * 2.0**96), 2**96 - 1) for fraction in fractions]
-    return np.array([[value >> shift & 0xFFFFFFFF for shift in (64, 32, 0)] for value in whole], np.uint32).view(np.int32)
+    words = [[value >> shift & 0xFFFFFFFF for shift in (64, 32, 0)] for value in whole]
+    return np.array(words, np.uint32).view(np.int32)
 
 
 def _by_chunks(device, arrays, rows, cols, numbers, count, out):
@@ -159,10 +160,12 @@ def _case(name, rates, fractions):
     plain, centre = finite / max(np.isfinite(rates).sum(), 1), weights * finite
     floor = max(np.abs(plain).sum(), np.abs(centre).sum())  # of sums that cancel
     lost = max(np.abs(part).sum() / max(abs(part.sum()), floor, 1e-300) for part in (plain, centre))
-    return Case(name, inputs, 110 * 2.0**-24 * max(lost, 1.0) + (sum(rates.shape) + 8) * 2.0**-150 / max(floor, 2.0**-149),
+    tiny = (sum(rates.shape) + 8) * 2.0**-150 / max(floor, 2.0**-149)
+    return Case(name, inputs, 110 * 2.0**-24 * max(lost, 1.0) + tiny,
                 "sums of 45 + 46 terms at most, then of parts, compensated, in trees of 8 levels (Higham 2002, 4.2): "
-                "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 "
-                "products are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that", metric="local", floor=floor)
+                "105 roundings of sum |r|, with those of weights, squares, root and quotient; below 2^-126 products "
+                "are whole multiples of 2^-149: rows + cols of them, weighted, err by half of that",
+                metric="local", floor=floor)
 
 
 def bench(rows, cols):
