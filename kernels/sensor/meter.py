@@ -15,6 +15,7 @@ the values, are counted by their upper 11 bits, then those of the bin that has t
 """
 
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 
@@ -132,6 +133,7 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
 def cases():
     """One pixel to several strips; equal, two, extreme, negative values; what is not finite; all quantiles' ends."""
     random = np.random.default_rng(11)
+    quantiles = cycle(((), (0.5,), (0.01, 0.7), (0.0, 0.25, 0.999), (0.0, 0.5, 0.99, 1.0)))
     for rows, cols in ((1, 1), (3, 5), (1, 2049), (67, 131), (130, 2100), (4100, 3)):
         for name, rates in (
                 ("light", random.gamma(2.0, 300.0, (rows, cols))),
@@ -143,8 +145,8 @@ def cases():
                 ("1e-30 to 1e30", 10.0 ** random.uniform(-30, 30, (rows, cols))),
                 ("NaN and infinities", random.choice([np.nan, np.inf, -np.inf, 1e-30, -2.0, 5.0, 1e30], (rows, cols))),
                 ("NaN", np.full((rows, cols), np.nan))):
-            quantiles = ((), (0.5,), (0.0, 0.5, 0.99, 1.0))[len(name) % 3]
-            yield _case(f"{name} {rows}x{cols}, {len(quantiles)} quantiles", rates.astype(np.float32), quantiles)
+            fractions = next(quantiles)
+            yield _case(f"{name} {rows}x{cols}, {len(fractions)} quantiles", rates.astype(np.float32), fractions)
 
 
 def _weights(size):

@@ -37,26 +37,27 @@ __kernel void parts(
     __global const float *restrict row = rates + (size_t)y * cols;
     float high = -MOST_FINITE, low = MOST_FINITE;
     float total = 0.0f, weighted = 0.0f, large = 0.0f, middle = 0.0f, small = 0.0f, left_out = 0.0f;
+    float found[STRIP / ITEMS], weights[STRIP / ITEMS];
 #pragma unroll
-    for (int k = 0; k < STRIP; k += ITEMS) {
-        const int x = first + k;
-        if (x < cols) {
-            const float value = row[x];
-            if ((AS_BITS(value) & EXPONENT) == EXPONENT) {
-                left_out += 1.0f;
-            } else {
-                const float size = fabs(value);
-                const int is_large = size >= LARGE, is_small = size < SMALL;
-                const float scaled = value * (is_large ? DOWN : is_small ? UP : 1.0f), square = scaled * scaled;
-                high = max(high, value);
-                low = min(low, value);
-                total += value;
-                weighted += value * weights_x[x];
-                large += is_large ? square : 0.0f;
-                middle += is_large || is_small ? 0.0f : square;
-                small += is_small ? square : 0.0f;
-            }
-        }
+    for (int k = 0; k < STRIP / ITEMS; ++k) {  // all at once, to wait once
+        const int x = min(first + k * ITEMS, cols - 1);
+        found[k] = row[x];
+        weights[k] = weights_x[x];
+    }
+#pragma unroll
+    for (int k = 0; k < STRIP / ITEMS; ++k) {
+        const int is_inside = first + k * ITEMS < cols, is_finite = (AS_BITS(found[k]) & EXPONENT) != EXPONENT;
+        const float value = is_inside && is_finite ? found[k] : 0.0f, size = fabs(value);
+        const int is_large = size >= LARGE, is_small = size < SMALL;
+        const float scaled = value * (is_large ? DOWN : is_small ? UP : 1.0f), square = scaled * scaled;
+        high = is_inside && is_finite ? max(high, value) : high;
+        low = is_inside && is_finite ? min(low, value) : low;
+        total += value;
+        weighted += value * weights[k];
+        large += is_large ? square : 0.0f;
+        middle += is_large || is_small ? 0.0f : square;
+        small += is_small ? square : 0.0f;
+        left_out += is_inside && !is_finite ? 1.0f : 0.0f;
     }
     values[item] = high;
     values[ITEMS + item] = low;
@@ -139,7 +140,9 @@ __kernel void tally(
             keys[2] = key_of(four.z);
             keys[3] = key_of(four.w);
         } else {
-            for (int j = 0; j < size - at; ++j) keys[j] = key_of(rates[at + j]);
+#pragma unroll
+            for (int j = 0; j < 3; ++j)
+                if (at + j < size) keys[j] = key_of(rates[at + j]);
         }
 #pragma unroll
         for (int list = 0; list < LISTS; ++list) {
