@@ -11,13 +11,14 @@ import numpy as np
 from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
-from gpusim.domain.exposure import bracket_times, checked_gain, checked_time
+from gpusim.domain.exposure import LightStatistics, bracket_times, checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
 from gpusim.kernels.optics.mosaic import transform_lengths
 from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.meter import meter
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
@@ -202,9 +203,13 @@ class Simulator:
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is not None:
             return float(exposure_time), float(gain)
+        rates, automatic = per_second(), sensor.auto_exposure
+        shape = rates.shape
+        light = meter(self.device.reshape(rates, (prod(shape[:-1]), shape[-1])), *automatic.weights(shape),
+                      automatic.fractions, device=self.device)
         dark = sensor.noise.dark_current * sensor.noise.warmth  # fills the well as light does
-        return sensor.auto_exposure.choose(self.device.numpy(per_second()) + np.float32(dark),
-                                           self.readout.output.saturation / self.readout.pixels)
+        return automatic.choose(LightStatistics(self.device.numpy(light), prod(shape)).plus(dark),
+                                self.readout.output.saturation / self.readout.pixels)
 
     def expose_moving(self, scenes, times, exposure_time: float | None = None, start: float = 0.0,
                       gain: float = 1.0) -> Exposure:

@@ -1,6 +1,7 @@
 """How long to expose: exposure values, automatic exposure, brackets."""
 
 from dataclasses import dataclass
+from math import floor, prod
 
 import numpy as np
 
@@ -53,6 +54,27 @@ def bracket_times(time: float, stops) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class LightStatistics:
+    """Statistics of a frame's light, as `gpusim.kernels.sensor.meter` gives them.
+
+    values: its result, for the weights and fractions of the AutoExposure that is to choose by it, shape (6 + 2 Q,).
+    pixels: how many it is of.
+    """
+
+    values: np.ndarray
+    pixels: int
+
+    def plus(self, rate: float) -> "LightStatistics":
+        """The same with `rate` [e- s-1] more in every pixel; of weights whose products add up to 1."""
+        values, more = self.values.copy(), np.float32(rate)
+        mean, root, added = (float(value) for value in (values[1], values[2], more))
+        values[2] = max(root**2 + 2 * mean * added + added**2, 0.0) ** 0.5
+        values[[0, 1, 3, 5]] += more
+        values[6:] += more  # adding to what is sorted leaves it sorted
+        return LightStatistics(values, self.pixels)
+
+
+@dataclass(frozen=True)
 class AutoExposure:
     """How an exposure time and an analog gain are chosen from the light.
 
@@ -101,21 +123,52 @@ class AutoExposure:
             return float(rate.mean(dtype=np.float64))
         if self.method == "percentile":
             return float(np.percentile(rate, self.percentile))
-        weights = [np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in rate.shape[-2:]]
-        down, right = (weight / weight.sum() for weight in weights)
+        down, right = self._centred(rate.shape)
         return float(np.mean(down @ rate.astype(np.float64) @ right))
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Of the pixels, from the darkest on: the quantiles that are asked of `LightStatistics`."""
+        return (self.percentile / 100,) if self.method == "percentile" else ()
+
+    def weights(self, shape) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the "centre" along both axes of a frame of shape (..., rows, cols); their products add up to 1.
+
+        Shapes (layers rows,) and (cols,): the frame's layers lie one below the other.
+        """
+        down, right = self._centred(shape)
+        layers = prod(shape[:-2])
+        return np.tile(down / layers, layers), right
+
+    @staticmethod
+    def _centred(shape):
+        weights = [np.exp(-0.5 * (((np.arange(n) + 0.5) / n - 0.5) / CENTRE) ** 2) for n in shape[-2:]]
+        return [weight / weight.sum() for weight in weights]
+
+    def signal_of(self, statistics: LightStatistics) -> float:
+        """The same as `signal` of the statistics of the pixels. Raises BadData for light that is not finite."""
+        highest, mean, _, centre, missing, _, *pair = statistics.values
+        if missing:
+            raise BadData(f"automatic exposure: {missing:.0f} of {statistics.pixels} pixels have NaN or infinite light")
+        if self.method == "percentile":  # as numpy.percentile rounds
+            place = (statistics.pixels - 1) * self.fractions[0]
+            low, high = pair
+            part = place - floor(place)
+            return float(low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part))
+        return float({"full": highest, "mean": mean, "centre": centre}[self.method])
 
     def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
         """Exposure time [s] and analog gain [1].
 
         electron_rate: mean electrons per second of every pixel, of light and dark current [e- s-1], shape (..., rows,
-            cols).
+            cols); or their LightStatistics.
         saturation: electrons at which a pixel stops counting at an analog gain of 1 [e-] (`Sensor.saturation`).
-        Raises BadData when there is no light to expose for, OutOfRange.
+        Raises BadData when there is no light to expose for or some that is not finite, OutOfRange.
         """
         if not 0 < saturation < np.inf:
             raise OutOfRange("saturation", f"{saturation} e-", "0 < saturation < inf")
-        rate = self.signal(electron_rate)
+        metered = isinstance(electron_rate, LightStatistics)
+        rate = self.signal_of(electron_rate) if metered else self.signal(electron_rate)
         if not 0 < rate < np.inf:
             raise BadData(f"automatic exposure: the {self.method} signal is {rate:.4g} e-/s; a dark scene needs "
                           "exposure_time_ms in the camera file")
