@@ -3,8 +3,8 @@
 Ports: content (entries, rows, cols) float32, or shading (rows, cols) float32 with ids (rows, cols) uint16; table
 (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's.
 
-Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its shading
-as the one entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
+Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its
+shading as the entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
 
     0  the upper row       of v_p^2 and of |c|^2
     1  its columns but one of the same for the difference to the right neighbour; 0 where there is one column
@@ -22,7 +22,7 @@ from gpusim.kernels.stage import Case, stage
 
 GROUPS = "spectral.survey_groups"
 MOST = 16  # projections: three sums of each are a GPU's registers
-THREADS = 128  # of a GPU's work-group, a column each: three sums of 17 numbers fill 28 KB of local memory
+THREADS = 128  # of a GPU's work-group, a column each: three sums of 17 numbers and the table fill 34 KB of local memory
 BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, are its registers
 
 
@@ -33,7 +33,8 @@ def survey(device, content, table, first, ids=None):
     content: shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the shading, shape
     (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows, clipped to the
     frame. ids: uint16, shape (rows, cols), each below the number of entries.
-    Returns shape (n, 3, P + 1). NaN stays NaN; projections beyond 1.8e19 have infinite squares.
+    Returns shape (n, 3, P + 1). NaN stays NaN; the squares of projections beyond 1.8e19 are infinite, those of
+    projections below 1e-23 are 0.
     Raises BadData, OutOfRange.
     """
     entries, rows, cols = checked(content, table, first, ids)
@@ -41,6 +42,8 @@ def survey(device, content, table, first, ids=None):
     content, table, first = device.array(content), device.array(table), device.array(first, np.int32)
     ids = None if ids is None else device.array(ids, np.uint16)
     out = device.empty((pairs, 3, count + 1))
+    if not pairs:
+        return out
     if device.is_gpu:
         _by_groups(device, content, table, first, ids, out, entries, rows, cols)
         return out
@@ -79,7 +82,7 @@ def checked(content, table, first, ids):
         raise BadData(f"survey: content of shape {shape}; wanted {wanted}")
     if ids is not None and tuple(ids.shape) != shape:
         raise BadData(f"survey: ids of shape {tuple(ids.shape)} and shading {shape}; wanted one (rows, cols)")
-    if len(table.shape) != 2 or ids is None and table.shape[1] != shape[0]:
+    if len(table.shape) != 2 or (ids is None and table.shape[1] != shape[0]):
         raise BadData(f"survey: a table of shape {tuple(table.shape)}; wanted (projections, "
                       f"{shape[0] if ids is None else 'entries'})")
     if not 1 <= table.shape[0] <= MOST:
@@ -140,9 +143,9 @@ def _case(name, content, table, first, ids=None):
                 tolerance = max(tolerance, (worst[total > 0] / total[total > 0]).max(initial=0.0))
     return Case(name, inputs if ids is None else inputs | {"ids": ids},
                 1.01 * max(tolerance, (terms + cols + 5) * unit) if content.any() else 0.0,
-                "a projection of n terms, each product of a weight and a difference, errs by at most (n + 2) 2^-24 times "
-                "the sum of their magnitudes (Higham 2002, 3.1), which its square doubles; a mean of m squares, and the "
-                "squares of n entries, add m + 3 and n + m + 5 roundings relative; second orders are below 1 %",
+                "a projection of n terms, each a weight times a difference, errs by at most (n + 2) 2^-24 times the "
+                "sum of their magnitudes (Higham 2002, 3.1), which its square doubles; a mean of m squares adds m + 3 "
+                "roundings, one of the squares of n entries n + m + 5; second orders are below 1 %",
                 metric="local")
 
 
