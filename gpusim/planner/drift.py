@@ -71,7 +71,7 @@ class Watch:
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:
     """M, shape (L, L): d M d^T is the mosaic's mean square error where neighbouring pixels differ by d (L,)."""
     wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(table.shape[1])
-    return np.einsum("c,clm,ln,cno->mo", response.share, wrong, response.optical, wrong, optimize=True)
+    return np.tensordot(wrong, response.share[:, None, None] * (response.optical @ wrong), ((0, 1), (0, 1)))
 
 
 def _rows(moments, content, count):

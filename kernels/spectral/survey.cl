@@ -1,5 +1,5 @@
-// CPUs: a work-item takes a pair of rows and BLOCK projections, WIDTH columns at a time; the last block is the squares of
-// the entries themselves. GPUs: survey_groups.cl. From the host: WIDTH, BLOCK.
+// CPUs: a work-item takes a pair of rows and BLOCK projections, WIDTH columns at a time; the last block is the squares
+// of the entries themselves. GPUs: survey_groups.cl. From the host: WIDTH, BLOCK.
 #include "lanes.clh"
 
 // The lanes that are of the row; 0 beyond, whatever is there.

@@ -1,5 +1,6 @@
-// survey.cl for GPUs: a work-item takes one column, a work-group THREADS of them; their sums meet in local memory, in one
-// order, and those of a row's groups in another kernel. From the host: PROJECTIONS, THREADS (a multiple of SEGMENTS).
+// survey.cl for GPUs: a work-item takes one column, a work-group THREADS of them; their sums meet in local memory, in
+// one order, and those of a row's groups in another kernel: a group for each whole row would leave most of a GPU idle.
+// From the host: PROJECTIONS, THREADS (a multiple of SEGMENTS).
 // OpenCL C that is also CUDA C++, see gpusim/backends/native.py.
 #ifndef PAIR
 #define PAIR(x, y) ((float2)(x, y))
