@@ -109,13 +109,21 @@ class Spectra:
     def of(cls, content: Content) -> "Spectra":
         """Moments of the content, from evenly spaced pairs of rows, about SAMPLES pixels in all."""
         rows, cols = content.shape
-        count = min(max(rows - 1, 1), max(8, SAMPLES // cols))
-        first = np.unique(np.linspace(0, max(rows - 2, 0), count).astype(int))
+        first = row_pairs(rows, cols)
         upper, lower = (content.bands_at(np.minimum(y, rows - 1)) for y in (first, first + 1))
         across, down = np.diff(upper, axis=2), lower - upper
         values = _moment(upper)
         differences = _moment(down)
         return cls(values, differences + (_moment(across) if across.size else 0))
+
+
+def row_pairs(rows: int, cols: int) -> np.ndarray:
+    """Upper rows of the evenly spaced pairs that stand for a content of this shape, about SAMPLES pixels in all.
+
+    Shape (n,), increasing. Of a content with one row that is its own lower one.
+    """
+    count = min(max(rows - 1, 1), max(8, SAMPLES // cols))
+    return np.unique(np.linspace(0, max(rows - 2, 0), count).astype(int))
 
 
 def _moment(bands):

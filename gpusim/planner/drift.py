@@ -1,0 +1,94 @@
+"""Whether a plan still fits: the error of its joint operator for another content, from a few projections of it.
+
+`Response.error` takes the moments V of a content's spectra and D of their differences between neighbours, over all
+pairs of wavelengths. With W_c the matrix of what channel c gets wrong, W_c[l, m] being the weight of O_l that
+wavelength m gets too much, and G the response's `optical`, the error of the mosaic is
+
+    sum over c of  share_c sum over l, m, n, o of  W_c[l, m] G[l, n] W_c[n, o] D[m, o]  =  trace(M D),
+    M = sum over c of  share_c W_c^T G W_c,
+
+and the signal trace(S V), S = sum over c of  share_c flat_c^T flat_c. A row b projects spectra x to b x, whose mean
+square is b V b^T, and differences to b d, whose mean square is b D b^T. So S = F^T F and M = B^T B + R give
+
+    signal = sum over rows f of F of  E[(f x)^2],     error = sum over rows b of B of  E[(b d)^2]  +  trace(R D),
+
+where the few largest eigenvalues are nearly all of M and the rest is at most its own largest one times E[|d|^2]. The
+stage `spectral.survey` measures all three on a device, without moments and in one pass over a few rows.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.domain.content import Content
+from gpusim.planner.fusion import Response, row_pairs
+
+WRONG_ROWS = 8  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest for operators up to rank 5
+FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """What to measure of a content that takes a plan's input table, and what its error is by that.
+
+    flat: F, shape (up to 8, L). wrong: B, shape (up to 8, L). left: largest eigenvalue of what B leaves of M, over the
+    coefficients of content entries. table: projections from entries, those of `flat` first, float32 (P, entries), as
+    `spectral.survey` takes it. first: upper rows of the pairs to survey, int32 (n,).
+    """
+
+    flat: np.ndarray
+    wrong: np.ndarray
+    left: float
+    table: np.ndarray
+    first: np.ndarray
+
+    @classmethod
+    def of(cls, response: Response, table, transfers, content: Content) -> "Watch":
+        """Of an operator, as `Response.error` takes it, and contents that differ from this one in their samples alone.
+
+        table: planes from spectra, shape (planes, L). transfers: shape (C, planes, L).
+        """
+        entries = content.entry_spectra
+        flat, _ = _rows((response.flat.T * response.share) @ response.flat, content, min(FLAT_ROWS, len(response.flat)))
+        wrong, left = _rows(wrong_moments(response, table, transfers), content, WRONG_ROWS)
+        projections = np.vstack([flat, wrong]) @ entries.T
+        return cls(flat, wrong, left, projections.astype(np.float32), row_pairs(*content.shape).astype(np.int32))
+
+    def error(self, survey) -> float:
+        """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
+
+        survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger, by at
+        most the root of `left` E[|d|^2] / signal, d the differences of entries; 0 without a signal. NaN where the
+        content has NaN: compare so that it fails.
+        """
+        values, across, down = np.asarray(survey, np.float64).mean(0)
+        differences, signals = across + down, len(self.flat)
+        signal = values[:signals].sum()
+        error = differences[signals:-1].sum() + self.left * differences[-1]
+        return float(np.sqrt(error / signal)) if signal != 0 else 0.0
+
+
+def wrong_moments(response: Response, table, transfers) -> np.ndarray:
+    """M, shape (L, L): d M d^T is the mosaic's mean square error where neighbouring pixels differ by d (L,)."""
+    wrong = np.einsum("ckl,km->clm", transfers, table) - response.weights[:, :, None] * np.eye(table.shape[1])
+    return np.tensordot(wrong, response.share[:, None, None] * (response.optical @ wrong), ((0, 1), (0, 1)))
+
+
+def _rows(moments, content, count):
+    """Rows B (count, L) of most of positive moments M = H^T H, and the largest eigenvalue that is left out.
+
+    The rows are those of most of what entries give, the columns of H E^T, E their spectra. What is left out of them,
+    H E^T - Q Q^T H E^T with Q the largest eigenvectors of their products, has a largest eigenvalue over all mixes of
+    entries. A sample of one entry, its spectrum e, differs by a e - b e' from its neighbour, so that twice the largest
+    square of a column bounds it, too.
+    """
+    variance, directions = np.linalg.eigh(moments)
+    half = np.sqrt(np.maximum(variance, 0))[:, None] * directions.T
+    given = half @ content.entry_spectra.T
+    eigenvalues, vectors = np.linalg.eigh(given @ given.T)
+    largest = vectors[:, ::-1][:, :count]
+    left = max(float(eigenvalues[::-1][count]), 0.0) if count < len(eigenvalues) else 0.0
+    if content.labels is not None:
+        rest = given - largest @ (largest.T @ given)
+        left = min(left, 2 * float((rest**2).sum(0).max()))
+    return largest.T @ half, left

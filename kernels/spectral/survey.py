@@ -1,0 +1,158 @@
+"""Survey of a scene's spectra: mean squares of a few projections of its samples and of neighbours' differences.
+
+Ports: content (entries, rows, cols) float32, or shading (rows, cols) float32 with ids (rows, cols) uint16; table
+(P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's.
+
+Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its
+shading as the entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
+
+    0  the upper row       of v_p^2 and of |c|^2
+    1  its columns but one of the same for the difference to the right neighbour; 0 where there is one column
+    2  the upper row       of the same for the difference to the row below; 0 where that is the last row itself
+
+with |c|^2 = sum over e of c_e^2 as number P, the last. They are p^T M p and the trace of moments M = E[c c^T], of which
+a plan's predicted error is made (`gpusim.planner.drift`), without the moments themselves. Differences are taken before
+projections, which a smooth picture would lose in rounding otherwise.
+"""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.stage import Case, stage
+
+GROUPS = "spectral.survey_groups"
+MOST = 16  # projections: three sums of each are a GPU's registers
+THREADS = 128  # of a GPU's work-group, a column each: three sums of 17 numbers and the table fill 34 KB of local memory
+BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, are its registers
+
+
+@stage
+def survey(device, content, table, first, ids=None):
+    """Mean squares of projections and of their differences, over pairs of rows.
+
+    content: shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the shading, shape
+    (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows, clipped to the
+    frame. ids: uint16, shape (rows, cols), each below the number of entries.
+    Returns shape (n, 3, P + 1). NaN stays NaN; the squares of projections beyond 1.8e19 are infinite, those of
+    projections below 1e-23 are 0.
+    Raises BadData, OutOfRange.
+    """
+    entries, rows, cols = checked(content, table, first, ids)
+    count, pairs = table.shape[0], first.shape[0]
+    content, table, first = device.array(content), device.array(table), device.array(first, np.int32)
+    ids = None if ids is None else device.array(ids, np.uint16)
+    out = device.empty((pairs, 3, count + 1))
+    if not pairs:
+        return out
+    if device.is_gpu:
+        _by_groups(device, content, table, first, ids, out, entries, rows, cols)
+        return out
+    defines = {"WIDTH": 8, "BLOCK": BLOCK}
+    opencl = device.kind == "opencl"
+    # Warp's loops are vectors along the projections, which lie side by side for them
+    table = table if opencl else device.array(np.pad(device.numpy(table).T, ((0, 0), (0, MOST - count))))
+    grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
+    if ids is None:
+        device.launch("spectral.survey", "mixed", grid, content, table, first, out, entries, rows, cols, count,
+                      defines=defines, group=group)
+    else:
+        device.launch("spectral.survey", "labelled", grid, ids, content, table, first, out, entries, rows, cols, count,
+                      defines=defines, group=group)
+    return out
+
+
+def _by_groups(device, content, table, first, ids, out, entries, rows, cols):
+    """Work-groups over parts of a row, then the parts of every row in their order."""
+    count, pairs = table.shape[0], first.shape[0]
+    chunks = -(-cols // THREADS)
+    parts = device.empty((pairs, chunks, 3 * (count + 1)))
+    defines = {"PROJECTIONS": count, "THREADS": THREADS}
+    content = (content,) if ids is None else (ids, content)
+    device.launch(GROUPS, "mixed_groups" if ids is None else "labelled_groups", (pairs * chunks * THREADS,), *content,
+                  table, first, parts, entries, rows, cols, chunks, defines=defines, group=(THREADS,))
+    items = pairs * 3 * (count + 1)
+    device.launch(GROUPS, "finish", (-(-items // THREADS) * THREADS,), parts, out, items, chunks, cols,
+                  defines=defines, group=(THREADS,))
+
+
+def checked(content, table, first, ids):
+    """Entries, rows and columns. Raises BadData for shapes that do not fit, OutOfRange for too many projections."""
+    shape, wanted = tuple(content.shape), "(entries, rows, cols)" if ids is None else "(rows, cols)"
+    if len(shape) != (3 if ids is None else 2) or 0 in shape:
+        raise BadData(f"survey: content of shape {shape}; wanted {wanted}")
+    if ids is not None and tuple(ids.shape) != shape:
+        raise BadData(f"survey: ids of shape {tuple(ids.shape)} and shading {shape}; wanted one (rows, cols)")
+    if len(table.shape) != 2 or (ids is None and table.shape[1] != shape[0]):
+        raise BadData(f"survey: a table of shape {tuple(table.shape)}; wanted (projections, "
+                      f"{shape[0] if ids is None else 'entries'})")
+    if not 1 <= table.shape[0] <= MOST:
+        raise OutOfRange("projections", table.shape[0], f"1 .. {MOST}")
+    if len(first.shape) != 1:
+        raise BadData(f"survey: first rows of shape {tuple(first.shape)}; wanted (pairs,)")
+    return table.shape[1], *shape[-2:]
+
+
+def cases():
+    """Odd sizes, all forms, rows beyond the frame, steep tables, small differences of large values, zeros, NaN."""
+    random = np.random.default_rng(11)
+    for rows, cols, entries, count in ((1, 1, 31, 3), (1, 9, 5, 1), (7, 1, 3, 16), (5, 2, 1, 5), (3, 8, 31, 12),
+                                       (33, 65, 70, 7), (20, 300, 6, 4), (9, 1025, 130, 12)):
+        table = random.normal(0, 10.0 ** random.uniform(-4, 4, (count, 1)), (count, entries))
+        first = random.integers(-2, rows + 2, 5)
+        shape = f"{rows}x{cols}, {entries} entries, {count} projections"
+        light = 10.0 ** random.uniform(-3, 5, (rows, cols))
+        yield _case(f"cube {shape}", random.random((entries, rows, cols)) * light, table, first)
+        yield _case(f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first)
+        ids = random.integers(0, entries, (rows, cols)).astype(np.uint16)
+        yield _case(f"materials {shape}", light, table, first, ids)
+    table = random.normal(0, 1, (6, 31))
+    smooth = 1000 + np.add.outer(random.random(31), 1e-3 * random.random((12, 200)))
+    yield _case("small differences of large values", smooth, table, np.arange(11))
+    ids = np.repeat(np.arange(4), 50)[None].repeat(12, 0).astype(np.uint16)
+    yield _case("materials of smooth shading", smooth[0], table, np.arange(11), ids)
+    yield _case("darkness", np.zeros((31, 4, 9)), table, np.arange(3))
+    yield _case("no pairs", np.ones((31, 4, 9)), table, np.arange(0))
+    content = random.random((31, 12, 40))
+    content[3, 2, 39], content[30, 7, 0], content[5, 10, 10:12] = np.nan, np.nan, np.inf
+    yield _case("NaN and infinity", content, table, np.arange(12))
+    shading = content[3]
+    shading[8, 20] = np.inf
+    ids = random.integers(0, 31, shading.shape).astype(np.uint16)
+    yield _case("materials with NaN and infinity", shading, table, np.arange(12), ids)
+
+
+def _case(name, content, table, first, ids=None):
+    """Arrays as the stage takes them, and the largest relative error of any number by the bound in `why`."""
+    content, table, unit = content.astype(np.float32), table.astype(np.float32), 2.0**-24
+    inputs = {"content": content, "table": table, "first": first.astype(np.int32)}
+    terms = content.shape[0] if ids is None else 2
+    rows, cols = content.shape[-2:]
+    tolerance = 0.0
+    for y in np.clip(first, 0, rows - 1):
+        upper, lower = (content[..., row, :].astype(float) for row in (y, min(y + 1, rows - 1)))
+        if ids is not None:  # one-hot: an entry for each sample's id
+            upper, lower = (np.where(ids[row] == np.arange(table.shape[1])[:, None], values, 0)
+                            for row, values in ((y, upper), (min(y + 1, rows - 1), lower)))
+        with np.errstate(invalid="ignore"):
+            for part in (upper, np.diff(upper), lower - upper):
+                part = part[:, np.isfinite(part).all(0)]
+                exact, rounding = table @ part, (terms + 2) * unit * (np.abs(table) @ np.abs(part))
+                total = (exact**2).sum(1)
+                worst = (rounding * (2 * np.abs(exact) + rounding)).sum(1)
+                worst += (cols + 3) * unit * ((np.abs(exact) + rounding) ** 2).sum(1)
+                tolerance = max(tolerance, (worst[total > 0] / total[total > 0]).max(initial=0.0))
+    return Case(name, inputs if ids is None else inputs | {"ids": ids},
+                1.01 * max(tolerance, (terms + cols + 5) * unit) if content.any() else 0.0,
+                "a projection of n terms, each a weight times a difference, errs by at most (n + 2) 2^-24 times the "
+                "sum of their magnitudes (Higham 2002, 3.1), which its square doubles; a mean of m squares adds m + 3 "
+                "roundings, one of the squares of n entries n + m + 5; second orders are below 1 %",
+                metric="local")
+
+
+def bench(rows, cols):
+    """Twelve projections of a 31-band cube, which has the 34 rows that are read in a frame of 1080 and no others."""
+    random = np.random.default_rng(11)
+    pairs = min(17, max(rows // 2, 1))
+    return {"content": random.random((31, 2 * pairs, cols), np.float32),
+            "table": random.normal(0, 1, (12, 31)).astype(np.float32),
+            "first": 2 * np.arange(pairs, dtype=np.int32)}

@@ -1,0 +1,184 @@
+"""A plan's error for another content by projections of it, against the error by all moments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_fusion import CAMERA, PRIOR, WAVELENGTHS, library, made_for, natural, response_of
+
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.content import Basis, Cube, Materials
+from gpusim.kernels.spectral.survey_ref import survey
+from gpusim.planner.drift import Watch, wrong_moments
+from gpusim.planner.fusion import Spectra, channel_operator, joint_operator, row_pairs
+
+LIKELY = np.vstack([reflectances(name).at(WAVELENGTHS, outside=None) for name in PRIOR])
+BASIS = np.linalg.svd(LIKELY, full_matrices=False)[2]
+
+
+@pytest.fixture(scope="module")
+def response():
+    return response_of(made_for(natural((32, 24)), CAMERA))
+
+
+def operators(response):
+    """Input tables and transfers: of ranks 3 to 6, and of two planes a channel."""
+    operator = joint_operator(response, library())
+    for rank in (3, 4, 5, 6):
+        yield operator.w_in[:, :rank].T, operator.transfers(rank)
+    guaranteed = channel_operator(response, 2)
+    yield guaranteed.table, guaranteed.transfers
+
+
+def monochromatic(shape, random):
+    values = np.zeros((31, *shape), np.float32)
+    np.put_along_axis(values, random.integers(0, 31, (1, *shape)), 1.0, axis=0)
+    return Cube(WAVELENGTHS, values)
+
+
+def contents():
+    """All forms: likely spectra and unlikely ones, one row or column or pixel, more rows than are looked at."""
+    random = np.random.default_rng(4)
+    yield natural((96, 64)).content
+    yield monochromatic((64, 96), random)
+    for shape in ((1, 1), (1, 50), (50, 1), (2, 2)):
+        yield Cube(WAVELENGTHS, random.random((31, *shape), np.float32))
+    for count in (3, 12):
+        coefficients = random.normal(0, 1, (count, 600, 100)) * np.exp(-np.arange(count))[:, None, None]
+        coefficients[0] += 5  # the others are of either sign
+        yield Basis(WAVELENGTHS, coefficients.astype(np.float32), BASIS[:count])
+    for spectra in (LIKELY[:200], random.random((4, 31)), np.eye(31)):
+        shading = (10.0 ** random.uniform(-2, 1, (40, 70))).astype(np.float32)
+        yield Materials(WAVELENGTHS, random.integers(0, len(spectra), (40, 70)).astype(np.uint16), shading, spectra)
+
+
+def surveyed(watch, content):
+    """By the rows in float64, which the table has rounded."""
+    exact = np.vstack([watch.flat, watch.wrong]) @ content.entry_spectra.T
+    np.testing.assert_allclose(watch.table, exact, rtol=2.0**-24)  # half an ulp
+    return survey(content.planes, exact, watch.first, content.labels)
+
+
+def moments_by_hand(response, table, transfers):
+    """M, channel by channel: W_c = sum over k of transfers_ck table_k^T - diag(weights_c), M = sum share W^T G W."""
+    total = 0
+    for weights, share, own in zip(response.weights, response.share, transfers, strict=True):
+        wrong = sum(np.outer(transfer, row) for transfer, row in zip(own, table, strict=True)) - np.diag(weights)
+        total = total + share * wrong.T @ response.optical @ wrong
+    return total
+
+
+def rounding_of(response, table, transfers, moments):
+    """How far float64 may take any element of M and what is made of it, relative to differences of length 1.
+
+    W is a difference of terms of the magnitudes A. Sums of 31 round it by less than 31 x 2^-52 A, and W^T G W, by
+    Cauchy's inequality, by twice the root of trace(W^T G W) trace(A^T |G| A) times that; its eigenvectors as much.
+    """
+    magnitude = 0.0
+    for weights, share, own in zip(response.weights, response.share, transfers, strict=True):
+        terms = np.abs(own).T @ np.abs(table) + np.diag(np.abs(weights))
+        magnitude += share * np.sum(terms * (np.abs(response.optical) @ terms))
+    return 4 * 31 * 2.0**-52 * np.sqrt(np.trace(moments) * magnitude)
+
+
+def test_the_moments_give_the_error(response):
+    own = Spectra.of(natural((96, 64)).content)
+    signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
+    for table, transfers in operators(response):
+        moments = wrong_moments(response, table, transfers)
+        by_hand = moments_by_hand(response, table, transfers)
+        rounding = rounding_of(response, table, transfers, by_hand)
+        np.testing.assert_allclose(moments, by_hand, atol=rounding, rtol=0)
+        error = response.error(table, transfers, own) ** 2
+        assert np.sum(moments * own.differences) / signal == pytest.approx(
+            error, abs=rounding * np.trace(own.differences) / signal)
+
+
+def test_projections_give_the_error_of_all_moments(response):
+    """Their squares are equal but for what the rows leave out, which is found by itself and kept within its bound."""
+    for table, transfers in operators(response):
+        moments = moments_by_hand(response, table, transfers)
+        for content in contents():
+            watch, own = Watch.of(response, table, transfers, content), Spectra.of(content)
+            numbers = surveyed(watch, content)
+            signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
+            exact = response.error(table, transfers, own) ** 2
+            rest = np.sum((moments - watch.wrong.T @ watch.wrong) * own.differences) / signal
+            allowed = watch.left * numbers.mean(0)[1:, -1].sum() / signal
+            rounding = rounding_of(response, table, transfers, moments) * np.trace(own.differences) / signal
+            assert replace(watch, left=0.0).error(numbers) ** 2 + rest == pytest.approx(exact, rel=1e-9, abs=rounding)
+            assert -rounding <= rest <= allowed + rounding
+            assert watch.error(numbers) ** 2 == pytest.approx(exact - rest + allowed, rel=1e-9, abs=rounding)
+
+
+def test_the_rows_are_of_the_largest_eigenvalues(response):
+    content = natural((32, 24)).content
+    for table, transfers in operators(response):
+        watch = Watch.of(response, table, transfers, content)
+        eigenvalues = np.linalg.eigvalsh(moments_by_hand(response, table, transfers))[::-1]
+        assert watch.wrong.shape == (8, 31) and watch.flat.shape == (3, 31)
+        np.testing.assert_allclose((watch.wrong**2).sum(1), eigenvalues[:8], rtol=1e-6)
+        assert watch.left == pytest.approx(eigenvalues[8], rel=1e-6)
+
+
+def test_a_basis_of_few_coefficients_leaves_nothing_out(response):
+    content = Basis(WAVELENGTHS, np.ones((8, 2, 2), np.float32), BASIS[:8])
+    for table, transfers in operators(response):
+        largest = np.linalg.eigvalsh(BASIS[:8] @ wrong_moments(response, table, transfers) @ BASIS[:8].T)[-1]
+        assert Watch.of(response, table, transfers, content).left <= 1e-12 * largest
+
+
+def test_what_is_left_out_costs_little(response):
+    """Below 1 % of the error of likely spectra at ranks 3 to 5, so that a watched plan stays as long as it could."""
+    content = natural((96, 64)).content
+    for table, transfers in list(operators(response))[:3]:
+        watch = Watch.of(response, table, transfers, content)
+        exact = response.error(table, transfers, Spectra.of(content))
+        assert exact <= watch.error(surveyed(watch, content)) <= 1.01 * exact
+
+
+def test_unlikely_spectra_are_seen(response):
+    """The plan of a natural scene, then single wavelengths: the error is that of those, many times larger."""
+    content, wild = natural((96, 64)).content, monochromatic((64, 96), np.random.default_rng(5))
+    for table, transfers in list(operators(response))[:4]:
+        watch = Watch.of(response, table, transfers, content)
+        before, after = (watch.error(surveyed(watch, seen)) for seen in (content, wild))
+        assert after > 20 * before
+        assert after == pytest.approx(response.error(table, transfers, Spectra.of(wild)), rel=0.1)
+
+
+def test_many_channels_are_never_seen_too_bright(response):
+    """Of ten channels the signal is that of eight rows: at most the whole one, and nearly it where they resemble."""
+    random = np.random.default_rng(6)
+    weights = np.vstack([response.weights] * 4)[:10] * random.uniform(0.5, 1.5, (10, 31))
+    flat = weights * np.real(response.tables[:, 0])
+    many = replace(response, weights=weights, flat=flat, share=np.full(10, 0.1))
+    operator = joint_operator(many, library())
+    table, transfers = operator.w_in[:, :10].T, operator.transfers(10)
+    content = natural((96, 64)).content
+    watch = Watch.of(many, table, transfers, content)
+    assert watch.table.shape == (16, 31)
+    kept = replace(watch, left=0.0).error(surveyed(watch, content))
+    exact = many.error(table, transfers, Spectra.of(content))
+    rest = np.sum((wrong_moments(many, table, transfers) - watch.wrong.T @ watch.wrong)
+                  * Spectra.of(content).differences)
+    signal = many.share @ np.einsum("cl,lm,cm->c", flat, Spectra.of(content).values, flat)
+    assert np.sqrt(exact**2 - rest / signal) * (1 - 1e-6) <= kept <= 1.01 * exact
+
+
+def test_darkness_and_nan(response):
+    table, transfers = next(operators(response))
+    dark = Cube(WAVELENGTHS, np.zeros((31, 4, 5), np.float32))
+    watch = Watch.of(response, table, transfers, dark)
+    assert watch.error(surveyed(watch, dark)) == 0.0
+    values = np.ones((31, 4, 5), np.float32)
+    values[7, 2, 2] = np.nan
+    assert np.isnan(watch.error(surveyed(watch, Cube(WAVELENGTHS, values))))
+
+
+@pytest.mark.parametrize(("shape", "wanted"), [((1, 1), [0]), ((2, 7), [0]), ((5, 9), [0, 1, 2, 3]),
+                                               ((1080, 1920), np.arange(17) * 1078 // 16), ((2, 10**6), [0]),
+                                               ((100, 10**6), np.arange(8) * 98 // 7)])
+def test_row_pairs_are_spread_over_the_frame(shape, wanted):
+    """All pairs of a small frame; else 2^15 pixels of upper rows, at least 8 pairs, the last two rows among them."""
+    assert row_pairs(*shape).tolist() == list(wanted)
