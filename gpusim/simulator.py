@@ -1,7 +1,7 @@
 """A camera on a device: the way from a scene to frames, and what else can be asked of it."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import copy
 from math import ceil, prod
 from time import perf_counter
@@ -27,6 +27,7 @@ from gpusim.program.imaging import Imaging
 from gpusim.program.kept import Kept
 from gpusim.program.program import Program, exposed
 from gpusim.program.shots import Shots
+from gpusim.program.stream import stream
 from gpusim.readout import Readout, checked_electrons
 from gpusim.report import Error
 from gpusim.truth import at_pixels, probe_pixels, true_mean
@@ -77,6 +78,20 @@ class Simulator:
     def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Program:
         """Frames of a scene, in which what a change does not touch is kept: see `Program`."""
         return Program(self, scene, exposure_time, gain)
+
+    def stream(self, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
+               exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
+        """One frame of every scene, an array of the device, which is written anew for the next one.
+
+        output: "codes", display codes (rows, cols, 3), or "raw", digital numbers (rows, cols). seed: of the noise;
+        frames are numbered from `first`. exposure_time, gain: as for `expose`. meters_late: where the exposure is
+        automatic, expose by what was metered in the frame before, as a video camera does, the first frame by its own;
+        else every frame by its own, which waits for the device. The next scene goes to the device while this one is
+        computed: arrays of a scene may be written to again when the scene after the next is asked for. A plan is kept
+        while scenes are of one kind and it fits them: see `Program`. Raises as `frames` does.
+        """
+        return stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
+                      meters_late=meters_late)
 
     def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
         """One frame of `scene`; see `frames`."""
@@ -196,20 +211,22 @@ class Simulator:
         """
         return self.program(scene, exposure_time, gain).exposure
 
-    def metered(self, exposure_time, gain, per_second):
-        """Exposure time [s] and analog gain: given, the sensor's, or chosen for the electrons of `per_second()`."""
+    def light(self, electrons):
+        """Statistics of electrons (rows, cols) or (C, rows, cols), on the device: see `sensor.meter`."""
+        shape, automatic = electrons.shape, self.camera.sensor.auto_exposure
+        weights = self.kept("weights of metering", tuple(shape), lambda: automatic.weights(shape))
+        flat = self.device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
+        return meter(flat, *weights, automatic.fractions, device=self.device)
+
+    def metered(self, light, shape, seconds: float = 1.0) -> tuple[float, float]:
+        """Exposure time [s] and analog gain by the statistics of the electrons of `seconds`, shape (..., rows, cols).
+
+        Raises BadData for a scene without light, or with light that is not finite.
+        """
         sensor = self.camera.sensor
-        checked_gain(gain)
-        exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
-        if exposure_time is not None:
-            return float(exposure_time), float(gain)
-        rates, automatic = per_second(), sensor.auto_exposure
-        shape = rates.shape
-        light = meter(self.device.reshape(rates, (prod(shape[:-1]), shape[-1])), *automatic.weights(shape),
-                      automatic.fractions, device=self.device)
         dark = sensor.noise.dark_current * sensor.noise.warmth  # fills the well as light does
-        return automatic.choose(LightStatistics(self.device.numpy(light), prod(shape)).plus(dark),
-                                self.readout.output.saturation / self.readout.pixels)
+        rates = LightStatistics(np.array(light), prod(shape)).over(seconds).plus(dark)
+        return sensor.auto_exposure.choose(rates, self.readout.output.saturation / self.readout.pixels)
 
     def expose_moving(self, scenes, times, exposure_time: float | None = None, start: float = 0.0,
                       gain: float = 1.0) -> Exposure:
@@ -221,6 +238,7 @@ class Simulator:
         the exposure.
         """
         checked_time(exposure_time)
+        checked_gain(gain)
         scenes, begun = list(scenes), perf_counter()
         if not scenes or len(scenes) != len(np.atleast_1d(times)):
             raise BadData(f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "
@@ -234,7 +252,9 @@ class Simulator:
         with self.device.timed() as ms:
             rates = [self.imaging.exposed(made, self.imaging.rates(made), 1.0) for made in plans]
             shape = rates[0].shape
-            exposure_time, gain = self.metered(exposure_time, gain, lambda: rates[0])
+            exposure_time = self.camera.sensor.exposure_time if exposure_time is None else exposure_time
+            if exposure_time is None:
+                exposure_time, gain = self.metered(self.device.numpy(self.light(rates[0])), shape)
             weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
             layers = prod(shape[:-2])  # of stacked pixels, one below the other
             stacked = self.device.reshape(self.device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))

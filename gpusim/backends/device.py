@@ -23,6 +23,9 @@ class Transfer:
         """Let what is launched from now on wait for it; returns the array."""
         return self.array
 
+    def wait(self):
+        """Wait until it has arrived, and its source may be written to."""
+
 
 class _Clock(threading.local):
     """What one thread times on a device: milliseconds per stage, if any, the stage that is charged, events.

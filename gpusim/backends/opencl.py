@@ -91,6 +91,9 @@ class _Transfer(Transfer):
         self.device._cl.enqueue_barrier(self.device.queue, wait_for=[self.event])
         return self.array
 
+    def wait(self):
+        self.event.wait()
+
 
 class _Copy:
     """A copy between two arrays in turn with the kernels."""

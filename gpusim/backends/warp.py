@@ -69,6 +69,9 @@ class _Transfer(Transfer):
         self.device.wp_device.stream.wait_event(self.event)
         return self.array
 
+    def wait(self):
+        self.device._wp.synchronize_event(self.event)
+
 
 class _Copy:
     """A copy between two arrays in turn with the kernels."""

@@ -64,6 +64,13 @@ class LightStatistics:
     values: np.ndarray
     pixels: int
 
+    def over(self, seconds: float) -> "LightStatistics":
+        """Those of electrons a second, from those of `seconds` [s]."""
+        values = self.values.copy()
+        scaled = np.arange(len(values)) != 4  # all but the count
+        values[scaled] /= np.float32(seconds)
+        return LightStatistics(values, self.pixels)
+
     def plus(self, rate: float) -> "LightStatistics":
         """The same with `rate` [e- s-1] more in every pixel; of weights whose products add up to 1."""
         values, more = self.values.copy(), np.float32(rate)

@@ -16,11 +16,12 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
 from gpusim.planner.depth import DepthPlan, plan_depth
+from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
-from gpusim.planner.highlights import TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
+from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.sampling import (
     AREA,
@@ -73,6 +74,8 @@ class Plan:
     spare: blurred samples around the scene's that they use.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
     period: lengths of the transforms [sample]. slope: tangent of the field angle per pixel.
+    watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
+        does. limit: relative RMS error that they keep, None without a tolerance.
     models: stage -> what is modelled, and why; left_out: what is not. predicted: named error bounds.
     not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
     """
@@ -99,6 +102,8 @@ class Plan:
     period: tuple[int, int]
     slope: float
     bytes_needed: int
+    watch: Watch | None = None
+    limit: float | None = None
     models: dict = field(default_factory=dict)
     left_out: list = field(default_factory=list)
     predicted: dict = field(default_factory=dict)
@@ -111,7 +116,7 @@ class Plan:
         Its predicted errors are those of its own scene then.
         """
         own = self.scene
-        if self.highlights is not None or own.depth is not None or scene.depth is not None:
+        if any(part is not None for part in (self.highlights, self.varying, own.depth, scene.depth)):
             return False
         light, its = own.illuminant, scene.illuminant
         return (own.content.is_like(scene.content) and own.content.shape == scene.content.shape
@@ -119,6 +124,18 @@ class Plan:
                      and np.array_equal(light.wavelengths, its.wavelengths)))
                 and all(getattr(own, name) == getattr(scene, name)
                         for name in ("border", "margin", "fov", "samples_per_pixel")))
+
+    def fits(self, light, survey) -> bool:
+        """Whether it is as right for a scene that it serves as it was to be for its own.
+
+        light: statistics of the scene's mean electrons, see `sensor.meter`. survey: what `spectral.survey` gave of its
+        samples, where there is a watch. What is up to THRESHOLD times the mean is no highlight: the transforms' error
+        beside it is below 10 of TRANSFORM_ERROR times the mean.
+        """
+        highest, mean = light[:2]
+        if self.gains is not None and highest > THRESHOLD * mean:
+            return False
+        return self.watch is None or PREDICTION_FACTOR * self.watch.error(survey) < (self.limit or np.inf)
 
 
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,
@@ -214,7 +231,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     slow = optics.psf is None and not optics.is_symmetric
     tables_of = partial(_quick_tables, optics, sensor.pixel_pitch) if slow else transfer_tables
     models, left_out, predicted, varying = {}, [], {}, None
-    taps, spare = None, 0
+    taps, spare, watch = None, 0, None
     if ratio > 1 or (more and not blurred):
         # the blur knows what is beyond the scene's samples; a picture without blur is constant over each of them
         if blurred and not fft_free:
@@ -269,6 +286,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit, keep)
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
+                watch = None if guaranteed else Watch.of(response, inputs, transfers, content)
                 table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
         predicted["relative rms"] = float(np.hypot(wrong, FFT_FREE_ERROR if fft_free else TRANSFORM_ERROR))
     over = f"the pixel{_displaced(moved)}" if ratio == 1 else "each scene sample"
@@ -344,8 +362,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
     return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
-                by_depth, warp, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, models,
-                left_out, predicted, not_met)
+                by_depth, warp, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, watch, limit,
+                models, left_out, predicted, not_met)
 
 
 def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, level):

@@ -2,12 +2,15 @@
 
 import dataclasses
 import time
+from math import prod
 
 import numpy as np
 
+from gpusim.domain.errors import BadData
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
+from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
@@ -26,13 +29,21 @@ class Program:
     arrays of the run before. Arrays that the program gives are the device's: read them before the program goes on, do
     not write them. Scenes count as unchanged while they are the same object: give a new Scene where its arrays have
     been written to. A program is used by one thread at a time.
+    A scene that the plan was not made for is looked at on the device. What is found there is read before the next
+    frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
+    meters_late: by what was metered in the frame before, as a camera's video does. Then nothing waits for the device.
     """
+
+    meters_late = False
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
         self.simulator, self.scene = simulator, scene
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self._kept = Kept(simulator.device)
         self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
+        self._pending: tuple | None = None  # numbers of the last scene, on their way from the device
+        self._looked: tuple = ()
+        self._metered: tuple[float, float] | None = None
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
@@ -82,27 +93,65 @@ class Program:
 
     def _exposed(self):
         """The exposure without its times."""
+        self.judge()
         simulator, kept, plan = self.simulator, self._kept, self.plan
         imaging, content = simulator.imaging, self._content
         window = imaging.window(plan)
         stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
-        planes = kept("planes", ([kept.one(part) for part in stored], plan.table),
-                      lambda: imaging.planes(plan.table, stored))
+        samples = [kept.one(part) for part in stored]
+        planes = kept("planes", (samples, plan.table), lambda: imaging.planes(plan.table, stored))
         rates = kept("rates", (kept.one(planes), One(plan)), lambda: imaging.rates(plan, planes))
         of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._metered(of, lambda: kept("per second", of, lambda: imaging.exposed(plan, rates, 1.0)))
+        seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: imaging.exposed(plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: imaging.exposed(plan, rates, seconds))
+        if plan.scene is not self.scene or self.meters_late:
+            self._look(plan, stored, samples, mean, seconds)
         return exposed(simulator, plan, mean, seconds, gain, kept)
 
-    def _metered(self, of, per_second):
+    def _operated(self, of, per_second):
         """Exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
         simulator, seconds = self.simulator, self._exposure_time
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
         if seconds is not None:
-            return simulator.metered(seconds, self._gain, None)
-        light = per_second()
-        return self._kept("metered", (*of, simulator.metered_by, self._gain),
-                          lambda: simulator.metered(None, self._gain, lambda: light))
+            return float(seconds), float(self._gain)
+        if self.meters_late and self._metered:
+            return self._metered
+        light, key = per_second(), (*of, simulator.metered_by)
+        found = self._kept("metered", key, lambda: simulator.metered(
+            simulator.device.numpy(simulator.light(light)), light.shape))
+        self._metered = found
+        return found
+
+    def _look(self, plan, stored, samples, mean, seconds):
+        """Have the device look at a scene that the plan was not made for; the numbers are judged before the next."""
+        simulator, kept = self.simulator, self._kept
+        device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
+        looked = (*samples, One(plan), kept.one(mean) if self.meters_late else None)
+        if same(self._looked, looked):
+            return
+        self._looked, found = looked, None
+        light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
+        if plan.watch is not None and plan.scene is not self.scene:
+            first, table = plan.watch.first, plan.watch.table
+            found = device.fetch(kept("survey", (samples, One(plan)), lambda: survey(
+                stored[0], table, first, stored[1], device=device)))
+        self._pending = self.scene, plan, device.fetch(light), found, mean.shape, seconds
+
+    def judge(self):
+        """Wait for what the device saw of the last scene; drop the plan where it does not fit.
+
+        Every frame begins with it. Raises BadData for light that is not finite.
+        """
+        if self._pending is None:
+            return
+        (scene, plan, light, found, shape, seconds), self._pending = self._pending, None
+        light = light()
+        if light[4]:
+            raise BadData(f"{scene.name}: {light[4]:.0f} of {prod(shape)} pixels have NaN or infinite light")
+        if self.meters_late and light[0] > 0:
+            self._metered = self.simulator.metered(light, shape, seconds)
+        if plan.scene is not scene and not plan.fits(light, None if found is None else found()):
+            self._plan = None
 
     @property
     def shots(self) -> Shots:

@@ -1,0 +1,95 @@
+"""Frames of one scene after the other: the next scene goes to the device while this one is computed."""
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.scene import Scene
+
+OUTPUTS = ("raw", "codes")
+SLOTS = 2  # one is computed from while the other is written
+
+
+def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
+           exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
+    """One frame of every scene: see `Simulator.stream`."""
+    if output not in OUTPUTS:
+        raise UnknownName("output", str(output), OUTPUTS)
+    if first < 0:
+        raise OutOfRange("first", first, "a frame number, 0 or more")
+    arriving, program = _arriving(simulator.device, iter(scenes)), None
+    try:
+        for number, scene in enumerate(arriving, first):
+            if program is None:
+                program = simulator.program(scene, exposure_time, gain)
+                program.meters_late = meters_late
+            else:
+                program.update(scene=scene)
+            yield getattr(program, output)(seed=seed, frame=number)
+        if program is not None:
+            program.judge()
+    finally:
+        arriving.close()
+
+
+def _arriving(device: Device, scenes: Iterator[Scene]) -> Iterator[Scene]:
+    """The scenes with their samples on the device, the next one on its way there.
+
+    A scene's arrays may be written to again when the scene after the next is asked for.
+    """
+    if device.on_host or device.kind == "numpy":
+        yield from scenes
+        return
+    slots: list[dict] = [{} for _ in range(SLOTS)]
+    sent, earlier, number = None, None, 0
+    try:
+        while True:
+            coming = next(scenes, None)
+            following = None if coming is None else _Sent(device, coming, slots[number % SLOTS])
+            if sent is not None:
+                yield sent.scene()
+            if following is None:
+                return
+            if earlier is not None:
+                earlier.wait()
+            sent, earlier, number = following, sent, number + 1
+    finally:
+        for one in (sent, earlier):
+            if one is not None:
+                one.wait()
+
+
+class _Sent:
+    """A scene on its way to a device.
+
+    slot: arrays there that it takes the place of, by name; they are read by nothing that is launched from now on.
+    """
+
+    def __init__(self, device, scene: Scene, slot: dict):
+        self._scene, self._transfers, after = scene, {}, device.mark()
+        content = scene.content
+        for name in content.samples:
+            values = getattr(content, name)
+            if not isinstance(values, np.ndarray):
+                continue  # it is there
+            values = np.ascontiguousarray(values, np.uint16 if values.dtype.kind in "iu" else np.float32)
+            target = slot.get(name)
+            if target is not None and tuple(target.shape) != values.shape:
+                target = None
+            self._transfers[name] = device.send(values, target, after)
+            slot[name] = self._transfers[name].array
+
+    def scene(self) -> Scene:
+        """The scene, whose samples what is launched from now on waits for."""
+        arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
+        if not arrays:
+            return self._scene
+        return dataclasses.replace(self._scene, content=dataclasses.replace(self._scene.content, **arrays))
+
+    def wait(self):
+        """Wait until all of it has arrived."""
+        for transfer in self._transfers.values():
+            transfer.wait()
