@@ -95,8 +95,10 @@ class Content:
 
     def is_like(self, other) -> bool:
         """Whether the other is of the same form, wavelengths and entries."""
-        return type(self) is type(other) and all(np.array_equal(getattr(self, name), getattr(other, name))
-                                                 for name in ("wavelengths", *self.shared))
+        if type(self) is not type(other):
+            return False
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ("wavelengths", *self.shared)]
+        return all(own is its or np.array_equal(own, its) for own, its in pairs)
 
     def mixed(self, rates, rows=slice(None)):
         """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols)."""

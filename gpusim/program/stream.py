@@ -1,7 +1,7 @@
 """Frames of one scene after the other: the next scene goes to the device while this one is computed."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: i
         arriving.close()
 
 
-def _arriving(device: Device, scenes: Iterator[Scene]) -> Iterator[Scene]:
+def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
     """The scenes with their samples on the device, the next one on its way there.
 
     A scene's arrays may be written to again when the scene after the next is asked for.
@@ -47,14 +47,14 @@ def _arriving(device: Device, scenes: Iterator[Scene]) -> Iterator[Scene]:
     sent, earlier, number = None, None, 0
     try:
         while True:
+            if earlier is not None:
+                earlier.wait()
             coming = next(scenes, None)
             following = None if coming is None else _Sent(device, coming, slots[number % SLOTS])
             if sent is not None:
                 yield sent.scene()
             if following is None:
                 return
-            if earlier is not None:
-                earlier.wait()
             sent, earlier, number = following, sent, number + 1
     finally:
         for one in (sent, earlier):
