@@ -48,17 +48,23 @@ class _Numbers:
         return _Numbers(CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span))
 
 
+def edges_of(camera: Camera) -> np.ndarray:
+    """Linear display values at which the next display code begins, after the tone curve, shape (255,)."""
+    return thresholds(decoding(camera.display, camera.processor.tone))
+
+
 class Developer:
     """The image processor of a camera on a device.
 
     camera: as operated (see `gpusim.simulator.Exposure`). averaged: raw values whose mean each of its values is
     (digital binning). transforms: function that gives colour transforms of a set of lights; by default, the camera's.
+    edges: the thresholds of the display's codes, by default computed: see `edges_of`.
     """
 
-    def __init__(self, camera: Camera, device: Device, averaged: int = 1, transforms=None):
+    def __init__(self, camera: Camera, device: Device, averaged: int = 1, transforms=None, edges=None):
         self.camera, self.device, self.averaged = camera, device, averaged
         self._transforms = transforms or (lambda: transforms_of(camera))
-        self._thresholds = thresholds(decoding(camera.display, camera.processor.tone))
+        self._thresholds = edges_of(camera) if edges is None else edges
 
     @property
     def noise(self) -> tuple[float, float]:

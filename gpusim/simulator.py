@@ -65,7 +65,8 @@ class Simulator:
     def _connect(self, kept, launched):
         """kept: tables of the last frames, for those of the same kind. launched: names of stages in their order."""
         self.kept, self.launched = kept, launched
-        self.readout = Readout(self.camera.sensor, self.device, kept)
+        sensor = self.camera.sensor
+        self.readout = kept("readout", sensor, lambda: Readout(sensor, self.device, kept))
         self.imaging = Imaging(self.camera, self.device, kept)
 
     def update(self, camera: Camera) -> "Simulator":

@@ -105,6 +105,7 @@ class WarpDevice(Taped):
         self.array_type = wp.array
         self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # beside the kernels
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
+        self._modules: dict = {}  # of the stages
         self._natives: dict = {}  # kernels from OpenCL text
         self._loaded: set = set()  # specialised kernels that are built
         self.build_ms: dict[str, float] = {}
@@ -210,10 +211,12 @@ class WarpDevice(Taped):
             clock.times[stage] += 1e3 * (time.perf_counter() - begin)
 
     def _kernel(self, stage, kernel, defines, args, options):
-        module = f"gpusim.kernels.{stage}_warp"
-        if find_spec(module) is None:
-            raise DeviceError(f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py")
-        loaded = import_module(module)
+        loaded = self._modules.get(stage)
+        if loaded is None:
+            module = f"gpusim.kernels.{stage}_warp"
+            if find_spec(module) is None:
+                raise DeviceError(f"{stage}: no Warp kernel; add kernels/{stage.replace('.', '/')}_warp.py")
+            loaded = self._modules[stage] = import_module(module)
         if getattr(loaded, "NATIVE", False):
             return self._native(stage, kernel, defines, args, options)
         if stage not in self.build_ms:

@@ -65,6 +65,22 @@ class Kept:
             self._renew(name, None if found is None else found[1], value)
         return value
 
+    def refill(self, *names) -> bool:
+        """Start the kernels of these steps again, of whose keys nothing but arrays' contents is new.
+
+        False, and nothing is done, where one of them has more to do than that.
+        """
+        found = []
+        for name in names:
+            _, value, tape = self._entries.get(name, (None, None, None))
+            if tape is None or not tape.is_replayable:
+                return False
+            found.append((name, value, tape))
+        for name, value, tape in found:
+            tape.replay()
+            self._renew(name, value, value)
+        return True
+
     def _renew(self, name, before, value):
         """Tell the arrays that a step wrote to from what they were."""
         now = [part for part in (value if isinstance(value, tuple) else (value,))
@@ -108,8 +124,9 @@ def compared(a, b) -> int:
 def _all(a, b):
     """The least of what pairs of parts are."""
     least = SAME
-    for pair in zip(a, b, strict=True):
-        least = min(least, compared(*pair))
-        if least == OTHER:
-            break
+    for own, its in zip(a, b, strict=True):
+        if own is not its:
+            least = min(least, compared(own, its))
+            if least == OTHER:
+                break
     return least

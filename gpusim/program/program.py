@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from functools import partial
 from math import prod
 
 import numpy as np
@@ -19,6 +20,17 @@ from gpusim.program.kept import Kept, One, same
 from gpusim.program.shots import Shots, without_tone
 
 SAME = object()  # of `Program.update`: as it was
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Last:
+    """An exposure, and what it was made of: settings of the program, plan, scene, planes before the blur."""
+
+    settings: tuple
+    plan: Plan
+    scene: Scene
+    planes: object
+    exposure: Exposure
 
 
 class Program:
@@ -44,6 +56,7 @@ class Program:
         self._pending: tuple | None = None  # numbers of the last scene, on their way from the device
         self._looked: tuple = ()
         self._metered: tuple[float, float] | None = None
+        self._last: _Last | None = None
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
@@ -93,17 +106,58 @@ class Program:
 
     def _exposed(self):
         """The exposure without its times."""
-        self.judge()
-        simulator, kept, plan = self.simulator, self._kept, self.plan
-        imaging, content = simulator.imaging, self._content
+        last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
+        if last and all(own is its for own, its in zip(last.settings, settings, strict=True)):
+            if last.scene is self.scene and self._pending is None:
+                return last.exposure
+        else:
+            last = None
+        self._last = None  # its arrays are written to from here on
+        exposure, plan, planes = None, self.plan, None
+        if last and plan is last.plan and self._refilled(last):
+            exposure, planes = last.exposure, last.planes
+        while exposure is None:
+            plan = self.plan
+            stored, samples, planes = self._planes()
+            rates = self._kept("rates", (self._kept.one(planes), One(plan)),
+                               partial(self.simulator.imaging.rates, plan, planes))
+            self.judge()  # not sooner: the device has work while the host waits
+            if self._plan is not None:
+                exposure = self._finished(plan, stored, samples, rates)
+        self._last = _Last(settings, plan, self.scene, planes, exposure)
+        return exposure
+
+    def _planes(self):
+        """The scene's samples on the device, as parts of keys, and the planes before the blur."""
+        plan, imaging, kept, content = self.plan, self.simulator.imaging, self._kept, self._content
         window = imaging.window(plan)
         stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
         samples = [kept.one(part) for part in stored]
         planes = kept("planes", (samples, plan.table), lambda: imaging.planes(plan.table, stored))
-        rates = kept("rates", (kept.one(planes), One(plan)), lambda: imaging.rates(plan, planes))
+        return stored, samples, planes
+
+    def _refilled(self, last) -> bool:
+        """Make the last exposure's arrays anew, for another scene, by what ran for it; False where that is not all."""
+        plan = last.plan
+        if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
+            return False  # it is metered
+        stored, samples, planes = self._planes()
+        if planes is not last.planes or not self._kept.refill("rates"):
+            return False
+        self.judge()
+        if self._plan is None or not self._kept.refill("mean", "expected"):
+            return False
+        if plan.scene is not self.scene:
+            self._look(plan, stored, samples, last.exposure.mean, last.exposure.exposure_time)
+        return True
+
+    def _finished(self, plan, stored, samples, rates):
+        """The exposure of electrons per second."""
+        simulator, kept = self.simulator, self._kept
         of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: imaging.exposed(plan, rates, 1.0)))
-        mean = kept("mean", (*of, seconds), lambda: imaging.exposed(plan, rates, seconds))
+        seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
+            plan, rates, 1.0)))
+        mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
         if plan.scene is not self.scene or self.meters_late:
             self._look(plan, stored, samples, mean, seconds)
         return exposed(simulator, plan, mean, seconds, gain, kept)
@@ -140,7 +194,7 @@ class Program:
     def judge(self):
         """Wait for what the device saw of the last scene; drop the plan where it does not fit.
 
-        Every frame begins with it. Raises BadData for light that is not finite.
+        Every frame does it for the one before. Raises BadData for light that is not finite.
         """
         if self._pending is None:
             return

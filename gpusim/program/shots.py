@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from gpusim.developer import Developer
+from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.rendering import transforms_of
@@ -45,9 +45,10 @@ class Shots:
         simulator, camera = self.simulator, self.exposure.camera
         sensor = camera.sensor
         lights = camera.optics.transmission, sensor.qe, sensor.cfa, sensor.channels, camera.processor, camera.display
-        return simulator.kept("developer", (camera, simulator.readout.averaged), lambda: Developer(
-            camera, simulator.device, simulator.readout.averaged,
-            lambda: simulator.kept("transforms", lights, lambda: transforms_of(camera))))
+        kept, averaged = simulator.kept, simulator.readout.averaged
+        return kept("developer", (camera, averaged), lambda: Developer(
+            camera, simulator.device, averaged, lambda: kept("transforms", lights, lambda: transforms_of(camera)),
+            kept("edges of codes", (camera.display, camera.processor.tone), lambda: edges_of(camera))))
 
     @property
     def defects(self):
