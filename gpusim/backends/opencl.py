@@ -4,6 +4,7 @@ import sqlite3
 import sys
 import time
 from collections import defaultdict, deque
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 
@@ -51,7 +52,8 @@ class _Command:
 
     def __init__(self, device, stage, kernel, pieces, args, spare):
         self.device, self.stage, self.kernel, self.args, self.spare = device, stage, kernel, args, spare
-        self.pieces = [(size[::-1], block[::-1], offset[::-1]) for size, block, offset in pieces]
+        self.pieces = [(size[::-1], block[::-1], offset[::-1] if any(offset) else None)
+                       for size, block, offset in pieces]
         self.enqueue = device._cl.enqueue_nd_range_kernel
         for index, value in enumerate(args):
             self._set(index, value)
@@ -77,12 +79,13 @@ class _Command:
 
     def start(self):
         device = self.device
-        for size, block, offset in self.pieces:
-            event = self.enqueue(device.queue, self.kernel, size, block, offset)
-            clock = device._clock
-            if clock.times is not None:
-                clock.events.append((self.stage, event))
-        device._keep(self.args)
+        with device._lock:
+            for size, block, offset in self.pieces:
+                event = self.enqueue(device.queue, self.kernel, size, block, offset)
+                clock = device._clock
+                if clock.times is not None:
+                    clock.events.append((self.stage, event))
+            device._keep(self.args)
 
 
 class _Transfer(Transfer):
@@ -108,14 +111,15 @@ class _Copy:
 
     def start(self):
         device, clock = self.device, self.device._clock
-        event = device._cl.enqueue_copy(device.queue, self.target.buffer, self.source.buffer, **self.range)
-        if clock.times is not None:
-            clock.events.append((self.stage, event))
-        device._keep((self.target, self.source))
+        with device._lock:
+            event = device._cl.enqueue_copy(device.queue, self.target.buffer, self.source.buffer, **self.range)
+            if clock.times is not None:
+                clock.events.append((self.stage, event))
+            device._keep((self.target, self.source))
 
 
 class OpenCLDevice(Taped):
-    """One OpenCL device with one in-order queue that records event times."""
+    """One OpenCL device with one in-order queue; another one, which records event times, takes its place in `timed`."""
 
     kind = "opencl"
     array_type = OpenCLArray
@@ -132,8 +136,11 @@ class OpenCLDevice(Taped):
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
-        self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self._copies = self.queue if self.on_host else cl.CommandQueue(self.context)  # beside the kernels
+        # NVIDIA's takes 15 us for a launch where it records times
+        self._queues = cl.CommandQueue(self.context), cl.CommandQueue(
+            self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        self.queue, self._timing = self._queues[0], 0
+        self._copies = None if self.on_host else cl.CommandQueue(self.context)  # beside the kernels
         self._kernels: dict = {}
         self._spare: defaultdict = defaultdict(list)  # kernels without a command
         self._programs: dict = {}
@@ -345,6 +352,24 @@ class OpenCLDevice(Taped):
             done, self._in_flight = self._in_flight, []
         self.queue.finish()
         done.clear()  # not sooner: the kernels that used it have ended now
+
+    @contextmanager
+    def timed(self):
+        self._record(1)
+        try:
+            with super().timed() as times:
+                yield times
+        finally:
+            self._record(-1)
+
+    def _record(self, more):
+        """Launch on the queue that records times while a block of some thread is timed."""
+        with self._lock:
+            self._timing += more
+            queue = self._queues[self._timing > 0]
+            if queue is not self.queue:
+                self.queue.finish()  # what follows is in turn with what was launched
+                self.queue = queue
 
     def _collect(self, clock):
         for stage, event in clock.events:

@@ -90,10 +90,9 @@ class Program:
         seen = self.scene.content.with_samples(lambda array: np.asarray(numpy(array)))
         return Facts.of(dataclasses.replace(self.scene, content=seen))
 
-    @property
-    def _content(self):
+    def _content(self, plan):
         """What is in front of the camera, less what the plan has taken from it."""
-        plan, scene = self.plan, self.scene
+        scene = self.scene
         return scene.content if plan.highlights is None and not scene.layers else plan.content
 
     @property
@@ -118,7 +117,7 @@ class Program:
             exposure, planes = last.exposure, last.planes
         while exposure is None:
             plan = self.plan
-            stored, samples, planes = self._planes()
+            stored, samples, planes = self._planes(plan)
             rates = self._kept("rates", (self._kept.one(planes), One(plan)),
                                partial(self.simulator.imaging.rates, plan, planes))
             self.judge()  # not sooner: the device has work while the host waits
@@ -127,9 +126,9 @@ class Program:
         self._last = _Last(settings, plan, self.scene, planes, exposure)
         return exposure
 
-    def _planes(self):
+    def _planes(self, plan):
         """The scene's samples on the device, as parts of keys, and the planes before the blur."""
-        plan, imaging, kept, content = self.plan, self.simulator.imaging, self._kept, self._content
+        imaging, kept, content = self.simulator.imaging, self._kept, self._content(plan)
         window = imaging.window(plan)
         stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
         samples = [kept.one(part) for part in stored]
@@ -141,7 +140,7 @@ class Program:
         plan = last.plan
         if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
             return False  # it is metered
-        stored, samples, planes = self._planes()
+        stored, samples, planes = self._planes(plan)
         if planes is not last.planes or not self._kept.refill("rates"):
             return False
         self.judge()
@@ -158,8 +157,10 @@ class Program:
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
-        if plan.scene is not self.scene or self.meters_late:
+        looked = (*samples, One(plan), kept.one(mean) if self.meters_late else None)
+        if (plan.scene is not self.scene or self.meters_late) and not same(self._looked, looked):
             self._look(plan, stored, samples, mean, seconds)
+            self._looked = looked
         return exposed(simulator, plan, mean, seconds, gain, kept)
 
     def _operated(self, of, per_second):
@@ -178,12 +179,8 @@ class Program:
 
     def _look(self, plan, stored, samples, mean, seconds):
         """Have the device look at a scene that the plan was not made for; the numbers are judged before the next."""
-        simulator, kept = self.simulator, self._kept
+        simulator, kept, found = self.simulator, self._kept, None
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
-        looked = (*samples, One(plan), kept.one(mean) if self.meters_late else None)
-        if same(self._looked, looked):
-            return
-        self._looked, found = looked, None
         light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
         if plan.watch is not None and plan.scene is not self.scene:
             first, table = plan.watch.first, plan.watch.table
