@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from gpusim.backends import Device, open_device
+from gpusim.backends.tape import OwnTape, noted
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import LightStatistics, bracket_times, checked_gain, checked_time
@@ -60,6 +61,7 @@ class Simulator:
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
+        self._drawing = OwnTape()
         self._connect(Kept(), [])
 
     def _connect(self, kept, launched):
@@ -282,8 +284,9 @@ class Simulator:
         frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
         stacked pixels one below the other.
         """
-        return self.readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame,
-                                 frames=frames)
+        with noted(self._drawing.tape):
+            return self.readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed,
+                                     frame=frame, frames=frames)
 
     def draw_electrons(self, mean, exposure_time: float, *, gain: float = 1.0, seed: int = 0, frame: int = 0,
                        frames: int | None = None) -> np.ndarray:

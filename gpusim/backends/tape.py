@@ -19,9 +19,11 @@ class Tape:
     `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
     memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
     reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
+    writes_anew: whether arrays are new each time, for results that are kept; then there is nothing to replay.
     """
 
-    def __init__(self):
+    def __init__(self, writes_anew: bool = False):
+        self.writes_anew = writes_anew
         self._requests: list = []
         self._at = 0
         self._commands: list = []
@@ -60,12 +62,22 @@ class Tape:
     @property
     def is_replayable(self) -> bool:
         """Whether the noted kernels are all there is to do."""
-        return not (self.reads or self.host_work)
+        return not (self.writes_anew or self.reads or self.host_work)
 
     def replay(self):
         """Start the noted kernels once more, for inputs in the memory that they had."""
         for command in self._commands:
             command.start()
+
+
+class OwnTape(threading.local):
+    """A tape of each thread's own, on which results are new arrays. Pickled, it is empty."""
+
+    def __init__(self):
+        self.tape = Tape(writes_anew=True)
+
+    def __reduce__(self):
+        return OwnTape, ()
 
 
 class _Current(threading.local):
@@ -110,13 +122,13 @@ class Taped(Device):
 
     def empty(self, shape, dtype=np.float32):
         tape = _current.tape
-        if tape is None:
+        if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
         return tape.again(("empty", tuple(shape), np.dtype(dtype).str), lambda: self._empty(shape, dtype))
 
     def reshape(self, array, shape):
         tape = _current.tape
-        if tape is None:
+        if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
         return tape.again(("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape))
 

@@ -4,6 +4,7 @@ import dataclasses
 import time
 from functools import partial
 from math import prod
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +25,20 @@ SAME = object()  # of `Program.update`: as it was
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Last:
-    """An exposure, and what it was made of: settings of the program, plan, scene, planes before the blur."""
+    """An exposure, and what it was made of.
+
+    settings: of the program. stored: the scene's samples on the device, samples: these as parts of keys. planes: before
+    the blur. rates: electrons per second, with their mosaic.
+    """
 
     settings: tuple
     plan: Plan
     scene: Scene
-    planes: object
-    exposure: Exposure
+    stored: tuple
+    samples: list
+    planes: Any
+    rates: tuple
+    exposure: Exposure | None
 
 
 class Program:
@@ -106,25 +114,30 @@ class Program:
     def _exposed(self):
         """The exposure without its times."""
         last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
-        if last and all(own is its for own, its in zip(last.settings, settings, strict=True)):
-            if last.scene is self.scene and self._pending is None:
-                return last.exposure
-        else:
-            last = None
+        is_same = last is not None and all(own is its for own, its in zip(last.settings, settings, strict=True))
+        if is_same and last.scene is self.scene and self._pending is None:
+            return last.exposure
         self._last = None  # its arrays are written to from here on
-        exposure, plan, planes = None, self.plan, None
-        if last and plan is last.plan and self._refilled(last):
-            exposure, planes = last.exposure, last.planes
-        while exposure is None:
+        made = None
+        if last and settings[0] is last.settings[0] and self.plan is last.plan:
+            if last.scene is self.scene and self._pending is None:
+                made = dataclasses.replace(last, exposure=self._finished(last))
+            elif is_same:
+                made = self._refilled(last)
+        self._last = dataclasses.replace(made or self._made(), settings=settings)
+        return self._last.exposure
+
+    def _made(self):
+        """An exposure by a plan that fits as far as is known."""
+        while True:
             plan = self.plan
             stored, samples, planes = self._planes(plan)
             rates = self._kept("rates", (self._kept.one(planes), One(plan)),
                                partial(self.simulator.imaging.rates, plan, planes))
             self.judge()  # not sooner: the device has work while the host waits
             if self._plan is not None:
-                exposure = self._finished(plan, stored, samples, rates)
-        self._last = _Last(settings, plan, self.scene, planes, exposure)
-        return exposure
+                made = _Last((), plan, self.scene, stored, samples, planes, rates, None)
+                return dataclasses.replace(made, exposure=self._finished(made))
 
     def _planes(self, plan):
         """The scene's samples on the device, as parts of keys, and the planes before the blur."""
@@ -135,32 +148,34 @@ class Program:
         planes = kept("planes", (samples, plan.table), lambda: imaging.planes(plan.table, stored))
         return stored, samples, planes
 
-    def _refilled(self, last) -> bool:
-        """Make the last exposure's arrays anew, for another scene, by what ran for it; False where that is not all."""
+    def _refilled(self, last):
+        """The last exposure, its arrays made anew for another scene by what ran for it; None where that is not all."""
         plan = last.plan
         if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
-            return False  # it is metered
+            return None  # it is metered
         stored, samples, planes = self._planes(plan)
         if planes is not last.planes or not self._kept.refill("rates"):
-            return False
+            return None
         self.judge()
         if self._plan is None or not self._kept.refill("mean", "expected"):
-            return False
+            return None
+        made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
-            self._look(plan, stored, samples, last.exposure.mean, last.exposure.exposure_time)
-        return True
+            self._look(made, last.exposure.mean, last.exposure.exposure_time)
+        return made
 
-    def _finished(self, plan, stored, samples, rates):
+    def _finished(self, made):
         """The exposure of electrons per second."""
-        simulator, kept = self.simulator, self._kept
+        simulator, kept, plan, rates = self.simulator, self._kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
-        looked = (*samples, One(plan), kept.one(mean) if self.meters_late else None)
-        if (plan.scene is not self.scene or self.meters_late) and not same(self._looked, looked):
-            self._look(plan, stored, samples, mean, seconds)
-            self._looked = looked
+        if plan.scene is not self.scene or self.meters_late:
+            looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
+            if not same(self._looked, looked):
+                self._look(made, mean, seconds)
+                self._looked = looked
         return exposed(simulator, plan, mean, seconds, gain, kept)
 
     def _operated(self, of, per_second):
@@ -177,15 +192,15 @@ class Program:
         self._metered = found
         return found
 
-    def _look(self, plan, stored, samples, mean, seconds):
+    def _look(self, made, mean, seconds):
         """Have the device look at a scene that the plan was not made for; the numbers are judged before the next."""
-        simulator, kept, found = self.simulator, self._kept, None
+        simulator, kept, plan, found = self.simulator, self._kept, made.plan, None
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
         light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
         if plan.watch is not None and plan.scene is not self.scene:
-            first, table = plan.watch.first, plan.watch.table
-            found = device.fetch(kept("survey", (samples, One(plan)), lambda: survey(
-                stored[0], table, first, stored[1], device=device)))
+            first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
+            found = device.fetch(kept("survey", (made.samples, One(plan)), lambda: survey(
+                entries, table, first, ids, device=device)))
         self._pending = self.scene, plan, device.fetch(light), found, mean.shape, seconds
 
     def judge(self):
