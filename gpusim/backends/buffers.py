@@ -4,9 +4,10 @@ from math import prod
 
 import numpy as np
 
+from gpusim.domain.foreign import CPU
+
 FREE_BLOCKS = 32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
 VECTOR = 16  # [byte] at which memory of the host must begin for kernels to use it where it is
-CPU = (1, 0)  # DLPack's name of host memory
 
 
 class OpenCLArray:

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.domain.errors import BadData
 
 READ_BY_HOST = (1, 3, 11, 13)  # DLPack's kinds of memory: the host's own, pinned for CUDA or ROCm, managed by CUDA
-CUDA = (2, 13)
+CPU, CUDA = (1, 0), (2, 13)  # the host's own as a DLPack device; kinds that CUDA reads
 NUMPYS = ("__array__", "__array_interface__", "__array_struct__")
 
 
