@@ -1,6 +1,7 @@
 """Arrays of devices seen by others, arrays of others taken by devices, and cubes of float16."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -465,6 +466,14 @@ def test_facts_are_read_from_arrays_of_all_kinds():
 
     wanted = Facts.of(layered(lambda array: array)).content.values
     np.testing.assert_array_equal(Facts.of(layered(Tensor)).content.values, wanted)
+
+
+def test_the_example_of_the_readme_runs():
+    text = (Path(__file__).parents[2] / "README.md").read_text()
+    names = {"gs": gs}
+    exec(text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0], names)
+    assert names["picture"].shape == names["codes"].shape == (480, 640, 3)
+    assert names["picture"].std() > 10 and names["half"].content.values.dtype == np.float16
 
 
 def test_kinds_of_memory():
