@@ -10,6 +10,7 @@ from devices import ALL, ALL_KINDS, DEVICES
 import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.buffers import OpenCLArray
+from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import READ_BY_HOST, dlpack_kind, to_host, type_of
 from gpusim.kernels.spectral.survey import survey
@@ -393,6 +394,45 @@ def test_warp_is_told_of_cuda_memory_rightly(monkeypatch):
     calls.clear()
     device.array(ByInterface(stream=None))
     assert len(calls) == 1
+
+
+@pytest.fixture
+def apart():
+    """An OpenCL device that keeps its memory to itself, as a GPU does."""
+    opened = open_device("opencl")
+    device = OpenCLDevice(opened.cl_device, opened.name)
+    device.on_host, device._copies = False, device._cl.CommandQueue(device.context)
+    return device
+
+
+def test_parts_of_memory_apart_from_the_host(apart):
+    values = cube(shape=(8, 8))  # rows of 256 bytes, which begin where sub-buffers may
+    whole = apart.array(values)
+    assert whole.host is None
+    for key in (1, slice(2, 5), slice(None, None, 3), slice(None, None, -1), slice(3, 3)):
+        np.testing.assert_array_equal(np.asarray(whole[key]), values[key])
+    assert whole[1].region == (whole.buffer, 256) and whole[1:][1:][0].region == (whole.buffer, 512)
+    odd = apart.array(np.arange(12, dtype=np.uint8).reshape(4, 3), np.uint8)
+    assert odd[1].region[0] is not odd.buffer  # a copy
+    np.testing.assert_array_equal(np.asarray(odd[1:]), np.arange(3, 12).reshape(3, 3))
+    part = whole[3]
+    del whole
+    np.testing.assert_array_equal(np.asarray(part), values[3])
+    with pytest.raises(BufferError, match="cannot be shared"):
+        np.from_dlpack(part)
+
+
+def test_streams_of_foreign_samples_to_memory_apart(apart):
+    """What is in host memory is sent while the frame before is computed; what changes its type gets other memory."""
+    simulator = gs.Simulator(CAMERA, device=apart)
+    scenes = [scene(of(cube(number, dtype))) for number, (of, dtype) in enumerate(
+        [(np.array, np.float32), (Tensor, np.float16), (open_device("warp:cpu").array, np.float32),
+         (lambda values: apart.array(values, values.dtype), np.float16), (Tensor, np.float32), (np.array, np.float16),
+         (ByNumpy, np.float64)])]
+    for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5)):
+        wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, frame=number)
+        np.testing.assert_array_equal(np.asarray(raw), wanted.raw)
+    assert number == len(scenes) - 1
 
 
 # ---- float16
