@@ -1,102 +1,34 @@
-"""Arrays of devices seen by others, arrays of others taken by devices, and cubes of float16."""
+"""Arrays of devices seen by others, and arrays of others taken by devices."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from devices import ALL, ALL_KINDS, DEVICES
+from foreign_arrays import (
+    CAMERA,
+    LIGHT,
+    SHAPE,
+    WAVELENGTHS,
+    ByDlpack,
+    ByInterface,
+    ByNumpy,
+    Older,
+    Tensor,
+    address,
+    aligned,
+    cube,
+    same_bits,
+    scene,
+)
 
 import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.buffers import OpenCLArray
 from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import READ_BY_HOST, dlpack_kind, to_host, type_of
-from gpusim.kernels.spectral.survey import survey
+from gpusim.domain.foreign import dlpack_kind, to_host, type_of
 from gpusim.planner.facts import Facts
-
-WAVELENGTHS = np.linspace(420.0, 680.0, 7)
-CAMERA = gs.open_camera("phone")
-CAMERA = replace(CAMERA, sensor=replace(CAMERA.sensor, exposure_time=0.01))
-METERED = replace(CAMERA, sensor=replace(CAMERA.sensor, exposure_time=None))
-SHAPE = (48, 64)
-LIGHT = gs.illuminant("D65")
-LIGHT = replace(LIGHT, values=3e14 * LIGHT.values)  # some hundred electrons
-
-
-class ByDlpack:
-    """What a library's array says by DLPack alone, of a kind of memory."""
-
-    def __init__(self, values, kind=1):
-        self.values, self.kind = values, kind
-
-    def __dlpack_device__(self):
-        return self.kind, 0
-
-    def __dlpack__(self, *, stream=None, max_version=None, dl_device=None, copy=None):
-        if self.kind not in READ_BY_HOST and dl_device != (1, 0):
-            raise BufferError("not in host memory")
-        return self.values.__dlpack__()
-
-
-class Tensor(ByDlpack):
-    """With a shape, and a type that is not NumPy's."""
-
-    def __init__(self, values, kind=1, dtype=None):
-        super().__init__(values, kind)
-        self.shape, self.dtype = values.shape, dtype or f"torch.{values.dtype}"
-
-
-class Older(Tensor):
-    """Whose library copies nothing to the host by DLPack."""
-
-    def __dlpack__(self, stream=None):
-        return self.values.__dlpack__()  # a capsule of the wrong memory: nobody may get as far
-
-
-class ByInterface:
-    """An array in CUDA memory: nothing here may read it."""
-
-    def __init__(self, shape=(7, *SHAPE), typestr="<f4", stream=1):
-        self.__cuda_array_interface__ = {"shape": shape, "typestr": typestr, "data": (4096, False), "version": 3,
-                                         "strides": None, "stream": stream}
-
-
-class ByNumpy:
-    def __init__(self, values):
-        self.values = values
-
-    def __array__(self, dtype=None, copy=None):
-        return np.array(self.values, dtype, copy=copy)
-
-
-def cube(seed=1, dtype=np.float32, shape=SHAPE):
-    random = np.random.default_rng(seed)
-    return (random.random((7, *shape)) * 10.0 ** random.uniform(-2, 0, shape)).astype(dtype)
-
-
-def scene(values, **options):
-    return gs.Scene(gs.Cube(WAVELENGTHS, values), LIGHT, **options)
-
-
-def address(array):
-    """Where an array in host memory begins."""
-    return np.asarray(array).ctypes.data
-
-
-def aligned(values):
-    """A copy that begins at a page."""
-    store = np.empty(values.nbytes + 4096, np.uint8)
-    start = -store.ctypes.data % 4096
-    copy = store[start : start + values.nbytes].view(values.dtype).reshape(values.shape)
-    copy[...] = values
-    return copy
-
-
-def same_bits(device, one, other):
-    np.testing.assert_array_equal(np.array(device.numpy(one)), np.array(device.numpy(other)))
-
 
 # ---- out
 
@@ -433,65 +365,6 @@ def test_streams_of_foreign_samples_to_memory_apart(apart):
         wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, frame=number)
         np.testing.assert_array_equal(np.asarray(raw), wanted.raw)
     assert number == len(scenes) - 1
-
-
-# ---- float16
-
-
-@pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("tolerance", [None, "video"])
-@pytest.mark.parametrize("border", [{}, {"border": "scene", "margin": 4}])
-def test_a_cube_of_float16_is_that_of_its_values(device, tolerance, border):
-    """Every float16 is a float32, and sums are of the same terms in the same order."""
-    simulator = gs.Simulator(METERED, device=device, tolerance=tolerance)
-    half = scene(cube(dtype=np.float16), **border)
-    single = scene(half.content.values.astype(np.float32), **border)
-    found, wanted = (simulator(shown, seed=2) for shown in (half, single))
-    for name in ("mean", "raw", "linear", "rgb"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), name)
-    assert found.exposure_time == wanted.exposure_time
-    streamed = [np.array(simulator.device.numpy(raw)) for raw in simulator.stream([half, single, half], "raw", seed=2)]
-    np.testing.assert_array_equal(streamed[0], found.raw)
-    if tolerance is None:
-        assert simulator.program(half).plan.table is None  # every wavelength by itself
-
-
-@pytest.mark.parametrize("device", ALL_KINDS)
-def test_float16_stays_float16_on_a_device(device):
-    simulator = gs.Simulator(CAMERA, device=device)
-    values = simulator.device.array(cube(dtype=np.float16), np.float16)
-    for content in (gs.Cube(WAVELENGTHS, cube(dtype=np.float16)), gs.Cube(WAVELENGTHS, values),
-                    gs.Cube(WAVELENGTHS, Tensor(cube(dtype=np.float16)))):
-        stored, labels = simulator.imaging.stored(content)
-        assert type_of(stored) == np.float16 and labels is None
-        assert content.nbytes == 2 * cube().size
-    assert gs.Cube(WAVELENGTHS, cube()).nbytes == 4 * cube().size
-
-
-@pytest.mark.parametrize("device", ALL_KINDS)
-def test_highlights_of_float16_are_split_off_as_those_of_float32(device):
-    values = np.full((7, *SHAPE), 0.01, np.float16)
-    values[:, 20, 30] = 6e4
-    simulator = gs.Simulator(CAMERA, device=device)
-    assert simulator.plan(scene(values)).highlights is not None
-    same_bits(simulator.device, simulator.expose(scene(values)).mean,
-              simulator.expose(scene(values.astype(np.float32))).mean)
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_a_survey_of_float16_is_that_of_its_values(device):
-    random = np.random.default_rng(3)
-    values, table = cube(dtype=np.float16), random.normal(0, 1, (5, 7)).astype(np.float32)
-    first = np.array([-3, 0, 7, 46, 47, 99], np.int32)
-    one, other = (survey(array, table, first, device=device) for array in (values, values.astype(np.float32)))
-    np.testing.assert_array_equal(one, other)
-
-
-def test_what_float16_cannot_hold_is_refused():
-    with np.errstate(over="ignore"):
-        values = (cube() * 1e6).astype(np.float16)
-    with pytest.raises(BadData, match="NaN or infinite samples; float16 ends at 65504"):
-        scene(values)
 
 
 def test_facts_are_read_from_arrays_of_all_kinds():
