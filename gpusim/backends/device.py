@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from gpusim.domain.errors import DeviceError
+from gpusim.domain.foreign import to_host
 from gpusim.domain.memory import Pinned, host_memory
 
 
@@ -47,7 +48,8 @@ class Device:
 
     kind: "numpy", "opencl" or "warp"; name: what `open_device` was asked for, made definite, such as "opencl:0".
     on_host: arrays live in host memory, so `numpy()` is a view that costs nothing.
-    array_type: class of this device's arrays; they have `shape` and `dtype`.
+    array_type: class of this device's arrays; they have `shape`, `dtype` and `len()`, their first axis can be indexed,
+        and `np.asarray` waits and gives their values.
     """
 
     kind = "numpy"
@@ -74,8 +76,17 @@ class Device:
         return host_memory()
 
     def array(self, values, dtype=np.float32):
-        """Array of this device with these values; one that is there already is returned as it is."""
-        return np.ascontiguousarray(values, dtype)
+        """Array of this device with these values; one that is there already is returned as it is.
+
+        values: NumPy's, or an array of another device or library with `__dlpack__`, `__cuda_array_interface__` or
+        `__array__`. Of the same memory where that is this device's and the type and the layout fit, else a copy.
+        Raises BadData for memory that cannot be read, such as CUDA's by OpenCL where its owner gives no copy.
+        """
+        return np.ascontiguousarray(to_host(values, self.name), dtype)
+
+    def samples(self, values, dtype):
+        """`array` whose type is `dtype`, contiguous, whosever it is."""
+        return self.array(values, dtype)
 
     def empty(self, shape, dtype=np.float32):
         """Uninitialised array of this device."""
@@ -86,8 +97,8 @@ class Device:
         return array.reshape(shape)
 
     def numpy(self, array) -> np.ndarray:
-        """Wait, then the values as NumPy: a view where `on_host`, else a copy."""
-        return np.asarray(array)
+        """Wait, then the values as NumPy: a view where `on_host`, else a copy. Of arrays of others, too."""
+        return to_host(array, self.name)
 
     def stack(self, arrays):
         """Copies of arrays of this device, all of one shape and type, as one array: its first axis counts them."""
@@ -180,7 +191,7 @@ class _Forked(Device):
     def _refuse(self, *_, **__):
         refuse_fork(self.name)
 
-    array = empty = reshape = numpy = stack = part = launch = sync = _refuse  # type: ignore[assignment]
+    array = samples = empty = reshape = numpy = stack = part = launch = sync = _refuse  # type: ignore[assignment]
 
 
 _in_use: weakref.WeakSet[Device] = weakref.WeakSet()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
 from gpusim.backends.caches import prepare_opencl
 from gpusim.backends.device import Transfer
 from gpusim.backends.pocl import known_processor
@@ -18,33 +19,7 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 
 PAGE = 4096
-FREE_BLOCKS = 32  # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
 CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
-
-
-class OpenCLArray:
-    """A buffer with a shape; `host` is the same memory as NumPy on CPU devices, None elsewhere.
-
-    owner: what must live as long as the buffer is in use.
-    """
-
-    def __init__(self, buffer, shape, dtype, host=None, owner=None):
-        self.buffer, self.shape, self.dtype = buffer, tuple(shape), np.dtype(dtype)
-        self.host, self.owner = host, owner
-        self.nbytes = prod(self.shape) * self.dtype.itemsize
-
-
-class _Block:
-    """Memory that goes back to its device's free list when nothing refers to it, NumPy views included."""
-
-    def __init__(self, free, nbytes, buffer, host):
-        self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host
-        if host is not None:
-            self.__array_interface__ = host.__array_interface__  # np.asarray(block) keeps the block alive
-
-    def __del__(self):
-        if sum(map(len, list(self.free.values()))) < FREE_BLOCKS:  # a list: threads add sizes
-            self.free[self.nbytes].append((self.buffer, self.host))
 
 
 class _Command:
@@ -134,6 +109,7 @@ class OpenCLDevice(Taped):
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
+        self.alignment = cl_device.mem_base_addr_align // 8  # [byte] at which buffers inside of others may begin
         self.processor = known_processor(cl_device)
         self.context = cl.Context([cl_device])
         # NVIDIA's takes 15 us for a launch where it records times
@@ -156,12 +132,10 @@ class OpenCLDevice(Taped):
 
     def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
-        flags = self._cl.mem_flags
         if not values.size:  # OpenCL has no empty buffers
             return self._empty(values.shape, dtype)
-        if self.on_host and values.ctypes.data % 16 == 0:
-            buffer = self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=values)
-            return OpenCLArray(buffer, values.shape, dtype, values)
+        if self.on_host and values.ctypes.data % VECTOR == 0:
+            return OpenCLArray(self, self.wrapped(values), values.shape, dtype, values)
         result = self._empty(values.shape, dtype)
         if values.nbytes > SMALL:
             self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
@@ -174,6 +148,12 @@ class OpenCLDevice(Taped):
                     self._sent.popleft()
         return result
 
+    def _is_here(self, array):
+        return array.device is self
+
+    def _fitting(self, array, dtype):
+        return array if array.dtype == dtype else self._array(self._numpy(array), dtype)
+
     def _empty(self, shape, dtype):
         dtype = np.dtype(dtype)
         nbytes = max(prod(shape) * dtype.itemsize, 1)
@@ -181,19 +161,24 @@ class OpenCLDevice(Taped):
             buffer, host = self._free[nbytes].pop()
         except IndexError:
             buffer, host = self._allocate(nbytes)
-        block = _Block(self._free, nbytes, buffer, host)
+        block = Block(self._free, nbytes, buffer, host)
         if host is not None:
             host = np.asarray(block)[: prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
-        return OpenCLArray(buffer, shape, dtype, host, block)
+        return OpenCLArray(self, buffer, shape, dtype, host, block)
 
     def _allocate(self, nbytes):
-        flags = self._cl.mem_flags
         if not self.on_host:
-            return self._cl.Buffer(self.context, flags.READ_WRITE, nbytes), None
+            return self._cl.Buffer(self.context, self._cl.mem_flags.READ_WRITE, nbytes), None
         store = np.empty(nbytes + PAGE, np.uint8)  # page-aligned memory is shared, not copied
         start = -store.ctypes.data % PAGE
         host = store[start : start + nbytes]
-        return self._cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host), host
+        return self.wrapped(host), host
+
+    def wrapped(self, values: np.ndarray):
+        """Buffer over memory of the host, which must outlive it."""
+        flags = self._cl.mem_flags
+        access = flags.READ_WRITE if values.flags.writeable else flags.READ_ONLY
+        return self._cl.Buffer(self.context, access | flags.USE_HOST_PTR, hostbuf=values)
 
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:
@@ -233,7 +218,7 @@ class OpenCLDevice(Taped):
 
     def _reshape(self, array, shape):
         host = None if array.host is None else array.host.reshape(shape)
-        return OpenCLArray(array.buffer, shape, array.dtype, host, array.owner)
+        return OpenCLArray(self, array.buffer, shape, array.dtype, host, array.owner, array.region)
 
     def _numpy(self, array):
         if array.host is not None:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from gpusim.backends.device import Device
+from gpusim.domain.foreign import to_host
 
 SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are given to the device again
 
@@ -110,8 +111,13 @@ class Taped(Device):
     """
 
     def array(self, values, dtype=np.float32):
-        if isinstance(values, self.array_type):
+        if isinstance(values, self.array_type) and self._is_here(values):
             return values
+        if not isinstance(values, np.ndarray):
+            shared = self._shared(values, np.dtype(dtype))
+            if shared is not None:
+                return shared
+            values = to_host(values, self.name)
         tape = _current.tape
         if tape is None:
             return self._array(values, dtype)
@@ -119,6 +125,9 @@ class Taped(Device):
         if values.nbytes > SMALL:
             return self._array(values, dtype)
         return tape.constant(values, lambda: self._array(values.copy(), dtype))  # it may use what it is given
+
+    def samples(self, values, dtype):
+        return self._fitting(self.array(values, dtype), np.dtype(dtype))
 
     def empty(self, shape, dtype=np.float32):
         tape = _current.tape
@@ -135,6 +144,8 @@ class Taped(Device):
     def numpy(self, array):
         if isinstance(array, np.ndarray):
             return array
+        if not (isinstance(array, self.array_type) and self._is_here(array)):
+            return to_host(array, self.name)
         tape = _current.tape
         if tape is not None and not self._clock.host_work:
             tape.reads.append(self._clock.charged or "between the stages")
@@ -186,6 +197,17 @@ class Taped(Device):
 
     def _array(self, values, dtype):
         """Array of this device with these values, not one of its own already."""
+        raise NotImplementedError
+
+    def _is_here(self, array) -> bool:
+        """Whether an array of `array_type` is of this device."""
+        raise NotImplementedError
+
+    def _shared(self, values, dtype):
+        """Array of this type made of memory that only devices read, of another's array; None where the host can."""
+
+    def _fitting(self, array, dtype):
+        """An array of this device with this type, contiguous: itself or a copy."""
         raise NotImplementedError
 
     def _empty(self, shape, dtype):

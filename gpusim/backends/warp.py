@@ -1,5 +1,6 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
+import functools
 import os
 import shutil
 import sys
@@ -15,7 +16,8 @@ from gpusim.backends.caches import is_writable, lent_folder
 from gpusim.backends.device import Transfer
 from gpusim.backends.native import native_kernel
 from gpusim.backends.tape import Taped
-from gpusim.domain.errors import DeviceError
+from gpusim.domain.errors import BadData, DeviceError
+from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
 from gpusim.domain.memory import Pinned
 
 
@@ -41,6 +43,39 @@ def started_warp():
         os.close(kept)
         os.close(nowhere)
     return wp
+
+
+@functools.cache
+def array_class(wp):
+    """Warp's array with more of what NumPy's have: its own refuses `np.asarray` in CUDA memory, and empty slices."""
+
+    class WarpArray(wp.array):
+        def __array__(self, dtype=None, copy=None):  # in host memory NumPy takes `__array_interface__`
+            if self.device.is_cuda and copy is False:
+                raise ValueError(f"the values of an array of warp:{self.device} cannot be had without a copy")
+            return np.array(self.numpy(), dtype, copy=None if self.device.is_cuda else copy)
+
+        def __getitem__(self, key):
+            if isinstance(key, slice):
+                start, stop, step = key.indices(len(self))
+                if step < 0 or stop <= start:  # Warp has no such views
+                    return as_shown(wp.array(self.numpy()[key], dtype=self.dtype, device=self.device))
+                key = slice(start, stop, step)
+            elif hasattr(key, "__index__"):
+                if not -len(self) <= key.__index__() < len(self):  # which also ends a loop over the array
+                    raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
+                key = key.__index__()
+            return as_shown(super().__getitem__(key))
+
+        def reshape(self, shape):
+            return as_shown(super().reshape(shape))
+
+    def as_shown(array):
+        array.__class__ = WarpArray
+        return array
+
+    WarpArray.of = staticmethod(as_shown)
+    return WarpArray
 
 
 class _Command:
@@ -103,6 +138,7 @@ class WarpDevice(Taped):
         if self.is_gpu:  # Warp's kernels keep 4 bytes a work-item for themselves
             self.local_bytes = min(self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit)
         self.array_type = wp.array
+        self._as_shown = array_class(wp).of
         self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # beside the kernels
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._modules: dict = {}  # of the stages
@@ -116,11 +152,53 @@ class WarpDevice(Taped):
 
     def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
-        return self._wp.array(values, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device,
-                              copy=not self.on_host)
+        return self._as_shown(self._wp.array(values, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)),
+                                             device=self.wp_device, copy=not self.on_host))
+
+    def _is_here(self, array):
+        return array.device == self.wp_device
+
+    def _shared(self, values, dtype):
+        wp = self._wp
+        try:
+            if isinstance(values, wp.array):  # of another of Warp's devices
+                if self.on_host:
+                    return self._array(values.numpy(), dtype)  # which waits
+                array = values.to(self.wp_device)
+            elif not self.is_gpu:
+                return None
+            elif dlpack_kind(values) in CUDA:
+                array = wp.from_dlpack(values)  # its owner's stream is waited for
+            elif hasattr(values, "__cuda_array_interface__"):
+                array = self._by_interface(values)
+            else:
+                return None
+        except Exception as error:  # of any class by library: a tensor with a gradient, a type that Warp has not
+            raise BadData(f"{self.name}: cannot read an array of {name_of(values)}: "
+                          f"{str(error).partition(chr(10))[0][:150]}") from error
+        return self._fitting(array, dtype)
+
+    def _by_interface(self, values):
+        """Array over memory of this device that the CUDA array interface tells of."""
+        interface = values.__cuda_array_interface__
+        if interface.get("stream") is not None:  # work there may not have ended
+            self._wp.synchronize_device(self.wp_device)
+        kind = self._wp.dtype_from_numpy(np.dtype(interface["typestr"]))
+        return self._wp.array(values, dtype=kind, device=self.wp_device, copy=False)
+
+    def _fitting(self, array, dtype):
+        if array.device != self.wp_device:
+            array = array.to(self.wp_device)
+        if not array.is_contiguous:
+            array = array.contiguous()
+        if self._dtype(array) != dtype:
+            other, array = array, self._empty(array.shape, dtype)
+            self._wp.utils.array_cast(other, array)
+        return array
 
     def _empty(self, shape, dtype):
-        return self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device)
+        return self._as_shown(
+            self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device))
 
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:
@@ -159,7 +237,7 @@ class WarpDevice(Taped):
         return None if self.on_host else self.wp_device.stream.record_event()
 
     def _reshape(self, array, shape):
-        return array.reshape(shape)
+        return self._as_shown(array.reshape(shape))
 
     def _numpy(self, array):
         return array.numpy()

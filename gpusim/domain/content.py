@@ -7,9 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.memory import Pinned
 from gpusim.domain.spectrum import Spectrum
 
+NUMBERS, WHOLE = "fiub", "iub"  # kinds of types that samples, and numbers of materials, may have
 NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
 
 
@@ -22,7 +24,8 @@ def is_seen(array) -> bool:
 class Content:
     """Spectra at wavelengths (L,) [nm] of samples on a grid (rows, cols): each is a mix of a few entries' spectra.
 
-    Arrays of samples may lie on a device, or be Pinned: their values are not looked at here.
+    Arrays of samples may be a device's, another library's (`__dlpack__`, `__cuda_array_interface__`, `__array__`) or
+    Pinned: their values are not looked at here. Samples of another type than devices store are converted by them.
     form: its name. samples: names of the arrays with a value for each sample, their last two axes rows and columns.
     shared: names of those that all samples share.
     """
@@ -31,6 +34,10 @@ class Content:
     form: ClassVar[str]
     samples: ClassVar[tuple[str, ...]]
     shared: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self):
+        for name in self.samples:
+            object.__setattr__(self, name, described(getattr(self, name), f"{self.form} {name}"))
 
     @property
     def planes(self) -> np.ndarray:
@@ -61,12 +68,22 @@ class Content:
     @property
     def nbytes(self) -> int:
         """What its samples take on a device [byte]."""
-        return 4 * prod(self.planes.shape) + (0 if self.labels is None else 2 * prod(self.labels.shape))
+        return sum(self.stored_type(name).itemsize * prod(getattr(self, name).shape) for name in self.samples)
 
     @property
     def lit(self) -> np.ndarray:
         """Whether there may be light at each wavelength, bool (L,)."""
         return np.asarray(self.entry_spectra.any(axis=0))
+
+    def stored_type(self, name: str) -> np.dtype:
+        """Type of an array of samples on a device: float16 where it has that, else float32."""
+        return np.dtype(np.float16 if type_of(getattr(self, name)) == np.float16 else np.float32)
+
+    def on_host(self):
+        """The same with all samples in host memory, waited for; itself where they are there. Raises BadData."""
+        if all(isinstance(getattr(self, name), np.ndarray) for name in self.samples):
+            return self
+        return self.with_samples(lambda array: to_host(array, self.form))
 
     def with_planes(self, planes):
         """The same with other `planes`."""
@@ -138,18 +155,28 @@ class Content:
 
         Raises BadData, OutOfRange.
         """
+        self._check_types(name)
         self._check_shapes(name)
         if 0 in self.planes.shape:
-            raise BadData(f"{name}: zero-size scene {self.planes.shape}")
+            raise BadData(f"{name}: zero-size scene {tuple(self.planes.shape)}")
         Spectrum(self.wavelengths, np.zeros(len(self.wavelengths)), name)  # checks the wavelengths
         for label, array in (("samples", self.planes), *(("spectra", getattr(self, key)) for key in self.shared)):
             if not is_seen(array):
                 continue
             low, high = float(array.min()), float(array.max())
             if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
-                raise BadData(f"{name}: NaN or infinite {label}")
+                why = "; float16 ends at 65504, beyond it is infinity" if array.dtype == np.float16 else ""
+                raise BadData(f"{name}: NaN or infinite {label}{why}")
             if low < 0:
                 self._check_negative(name, label, low)
+
+    def _check_types(self, name):
+        for key in self.samples:
+            array = getattr(self, key)
+            kind, is_light = type_of(array), array is self.planes
+            if kind is None or kind.kind not in (NUMBERS if is_light else WHOLE):
+                wanted = "float32, float16 or another type of real numbers" if is_light else "uint16 or uint8"
+                raise BadData(f"{name}: {key} of type {kind or array.dtype}, wanted {wanted}")
 
     def _check_shapes(self, name):
         raise NotImplementedError
@@ -160,7 +187,11 @@ class Content:
 
 @dataclass(frozen=True, eq=False)
 class Cube(Content):
-    """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm]."""
+    """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm].
+
+    Values of float16 stay float16 on a device, half the memory and bus: exact to 2^-11 from 6.1e-5 on, to 3e-8 below;
+    scale a radiance into that range, and its light by as much. What is beyond 65504 would be infinite.
+    """
 
     values: np.ndarray
     form: ClassVar[str] = "cube"
@@ -191,14 +222,15 @@ class Cube(Content):
 
     def _check_shapes(self, name):
         if len(self.values.shape) != 3 or self.values.shape[0] != len(self.wavelengths):
-            raise BadData(f"{name}: cube of shape {self.values.shape}, wanted ({len(self.wavelengths)}, rows, cols)")
+            raise BadData(f"{name}: cube of shape {tuple(self.values.shape)}, wanted ({len(self.wavelengths)}, rows, "
+                          "cols)")
 
 
 @dataclass(frozen=True, eq=False)
 class Basis(Content):
     """A linear model: pixel spectrum = sum_k coefficients[k] basis[k].
 
-    coefficients (K, rows, cols) float32; basis (K, L) at wavelengths (L,) [nm].
+    coefficients (K, rows, cols) float32 or float16, as of a cube; basis (K, L) at wavelengths (L,) [nm].
     """
 
     coefficients: np.ndarray
@@ -223,7 +255,8 @@ class Basis(Content):
     def _check_shapes(self, name):
         count = len(self.wavelengths)
         if len(self.coefficients.shape) != 3 or self.basis.shape != (self.coefficients.shape[0], count):
-            raise BadData(f"{name}: basis {self.basis.shape} does not match coefficients {self.coefficients.shape} and "
+            raise BadData(f"{name}: basis {self.basis.shape} does not match coefficients "
+                          f"{tuple(self.coefficients.shape)} and "
                           f"{len(self.wavelengths)} wavelengths")
 
     def _check_negative(self, name, label, low):
@@ -248,6 +281,9 @@ class Materials(Content):
     def labels(self):
         return self.ids
 
+    def stored_type(self, name):
+        return np.dtype(np.uint16 if name == "ids" else np.float32)
+
     def mixed(self, rates, rows=slice(None)):
         return rates[:, self.ids[rows]] * self.shading[rows]
 
@@ -266,7 +302,8 @@ class Materials(Content):
 
     def _check_shapes(self, name):
         if len(self.ids.shape) != 2 or tuple(self.shading.shape) != tuple(self.ids.shape):
-            raise BadData(f"{name}: ids {self.ids.shape} and shading {self.shading.shape} must be one (rows, cols)")
+            raise BadData(f"{name}: ids {tuple(self.ids.shape)} and shading {tuple(self.shading.shape)} must be one "
+                          "(rows, cols)")
         if self.spectra.ndim != 2 or self.spectra.shape[1] != len(self.wavelengths):
             raise BadData(f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths")
         if is_seen(self.ids) and self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):

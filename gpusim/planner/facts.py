@@ -1,5 +1,6 @@
 """What the planner reads from a scene's pixels, each number once."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +23,11 @@ class Facts:
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
         """Those of the picture that a scene shows."""
+        content = scene.content.on_host()
+        layers = tuple(replace(layer, content=layer.content.on_host()) for layer in scene.layers)
+        if content is not scene.content or any(a.content is not b.content
+                                               for a, b in zip(layers, scene.layers, strict=True)):
+            scene = replace(scene, content=content, layers=layers)
         return cls(*flattened(scene))
 
     @cached_property

@@ -4,6 +4,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.field import field, transfer
@@ -16,6 +17,7 @@ from gpusim.kernels.optics.warp import warp
 from gpusim.kernels.sensor.expose import expose
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
+from gpusim.kernels.spectral.widen import widen
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
@@ -56,18 +58,22 @@ class Imaging:
         """A content's samples in a window on the device: entries, and which entry each has or None."""
         device = self.device
 
-        def cut(array):
-            return array if window == WHOLE else np.asarray(device.numpy(array))[(..., *window)]
+        def cut(name):
+            array = getattr(content, name)
+            array = array if window == WHOLE else np.asarray(device.numpy(array))[(..., *window)]
+            return device.samples(array, content.stored_type(name))
 
-        return (device.array(cut(content.planes)),
-                None if content.labels is None else device.array(cut(content.labels), np.uint16))
+        *labels, planes = [cut(name) for name in content.samples]
+        return planes, labels[0] if labels else None
 
     def planes(self, table, stored):
         """Planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
         entries, ids = stored
         if ids is not None:
             return materials(ids, entries, self.device.array(table), device=self.device)
-        return entries if table is None else integrate(entries, self.device.array(table), device=self.device)
+        if table is None:
+            return widen(entries, device=self.device) if type_of(entries) == np.float16 else entries
+        return integrate(entries, self.device.array(table), device=self.device)
 
     def rates(self, made: Plan, planes=None):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.

@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.foreign import CPU, dlpack_kind, to_host
 from gpusim.domain.scene import Scene
 
 OUTPUTS = ("raw", "codes")
@@ -72,15 +73,17 @@ class _Sent:
         self._scene, self._transfers, after = scene, {}, device.mark()
         content = scene.content
         for name in content.samples:
-            values = getattr(content, name)
+            values, kind = getattr(content, name), content.stored_type(name)
             if not isinstance(values, np.ndarray):
-                continue  # it is there
-            values = np.ascontiguousarray(values, np.uint16 if values.dtype.kind in "iu" else np.float32)
-            target = slot.get(name)
+                if dlpack_kind(values) != CPU[0]:
+                    continue  # it is there
+                values = to_host(values, content.form)
+            values = np.ascontiguousarray(values, kind)
+            target = slot.get((name, kind))
             if target is not None and tuple(target.shape) != values.shape:
                 target = None
             self._transfers[name] = device.send(values, target, after)
-            slot[name] = self._transfers[name].array
+            slot[name, kind] = self._transfers[name].array
 
     def scene(self) -> Scene:
         """The scene, whose samples what is launched from now on waits for."""

@@ -1,12 +1,14 @@
 """Spectral integration of sampled or basis content: planes = W . content, one weighted sum over bands per plane.
 
-Ports: content (bands, rows, cols) float32, weights (planes, bands) float32 -> planes (planes, rows, cols) float32.
-The weights carry quantum efficiency, light and quadrature (`gpusim.planner.weights`), so the unit of the result is
-theirs times the content's.
+Ports: content (bands, rows, cols) float32 or float16, weights (planes, bands) float32 -> planes (planes, rows, cols)
+float32. The weights carry quantum efficiency, light and quadrature (`gpusim.planner.weights`), so the unit of the
+result is theirs times the content's. Content of float16 is half the memory and bus; each sample is widened to float32,
+exactly, before it is weighted, so the result is that of the same values in float32.
 """
 
 import numpy as np
 
+from gpusim.domain.foreign import type_of
 from gpusim.kernels.stage import Case, stage
 
 
@@ -14,15 +16,17 @@ from gpusim.kernels.stage import Case, stage
 def integrate(device, content, weights):
     """Weighted sums over the bands of `content`, computed in one pass over it.
 
-    content: shape (bands, rows, cols). weights: shape (planes, bands).
+    content: float32 or float16, shape (bands, rows, cols). weights: shape (planes, bands).
     Returns shape (planes, rows, cols). Source: Farrell & Wandell, section 5.1, the sum over wavelength.
     """
     bands, rows, cols = content.shape
-    content, weights = device.array(content), device.array(weights)
+    is_half = type_of(content) == np.float16
+    content, weights = device.array(content, np.float16 if is_half else np.float32), device.array(weights)
     planes = weights.shape[0]
     out = device.empty((planes, rows, cols))
     # Bands and planes are compile-time constants: an inner loop that is not unrolled stops PoCL from vectorising.
-    device.launch("spectral.integrate", "integrate", (rows * cols,), content, weights, out, rows * cols,
+    device.launch("spectral.integrate", "integrate_half" if is_half else "integrate", (rows * cols,), content,
+                  weights, out, rows * cols,
                   *(() if device.kind == "opencl" else (bands, planes)),
                   defines={"BANDS": bands, "PLANES": planes})
     return out
@@ -39,8 +43,17 @@ def cases():
                    bands * 2.0**-24 * 2, metric="local",
                    why="all terms are positive: a running float32 sum of n products errs by at most about n ulp/2 "
                        "relative (Higham 2002, 3.1); the inputs are exact in float32")
+        small = (content * 2.0**-14).clip(0, 65504).astype(np.float16)  # half of them below its smallest normal number
+        yield Case(f"float16, {rows}x{cols}, {bands} bands, {planes} planes",
+                   {"content": small, "weights": weights.astype(np.float32)}, bands * 2.0**-24 * 2, metric="local",
+                   why="as for float32: every float16 is a float32, so the inputs are exact")
     yield Case("darkness", {"content": np.zeros((31, 4, 4), np.float32), "weights": np.ones((3, 31), np.float32)}, 0.0,
                "sums of zeros are exact", metric="exact")
+    wild = np.ones((5, 3, 4), np.float16)
+    wild[2, 0, :3] = np.nan, np.inf, 2.0**-24
+    yield Case("float16, NaN, infinity and the smallest number",
+               {"content": wild, "weights": np.full((2, 5), 0.5, np.float32)}, 2.0**-24,
+               "products with a power of two are exact; of the sums only that with 2^-25 rounds, to 1", metric="local")
 
 
 def bench(rows, cols):

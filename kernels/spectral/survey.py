@@ -1,7 +1,7 @@
 """Survey of a scene's spectra: mean squares of a few projections of its samples and of neighbours' differences.
 
-Ports: content (entries, rows, cols) float32, or shading (rows, cols) float32 with ids (rows, cols) uint16; table
-(P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's.
+Ports: content (entries, rows, cols) float32 or float16, or shading (rows, cols) float32 with ids (rows, cols) uint16;
+table (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's.
 
 Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its
 shading as the entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
@@ -18,6 +18,8 @@ projections, which a smooth picture would lose in rounding otherwise.
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.foreign import type_of
+from gpusim.kernels.spectral.widen import widen
 from gpusim.kernels.stage import Case, stage
 
 GROUPS = "spectral.survey_groups"
@@ -30,15 +32,17 @@ BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, a
 def survey(device, content, table, first, ids=None):
     """Mean squares of projections and of their differences, over pairs of rows.
 
-    content: shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the shading, shape
-    (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows, clipped to the
-    frame. ids: uint16, shape (rows, cols), each below the number of entries.
+    content: float32 or float16, shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the
+    shading, shape (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows,
+    clipped to the frame. ids: uint16, shape (rows, cols), each below the number of entries.
     Returns shape (n, 3, P + 1). NaN stays NaN; the squares of projections beyond 1.8e19 are infinite, those of
     projections below 1e-23 are 0.
     Raises BadData, OutOfRange.
     """
     entries, rows, cols = checked(content, table, first, ids)
     count, pairs = table.shape[0], first.shape[0]
+    if ids is None and pairs and type_of(content) == np.float16:  # of the pairs' rows alone: they are few
+        content, first, rows = _widened(device, content, first)
     content, table, first = device.array(content), device.array(table), device.array(first, np.int32)
     ids = None if ids is None else device.array(ids, np.uint16)
     out = device.empty((pairs, 3, count + 1))
@@ -59,6 +63,13 @@ def survey(device, content, table, first, ids=None):
         device.launch("spectral.survey", "labelled", grid, ids, content, table, first, out, entries, rows, cols, count,
                       defines=defines, group=group)
     return out
+
+
+def _widened(device, content, first):
+    """The rows of pairs as content of their own, float32, its upper rows, and how many rows there are."""
+    upper = np.clip(device.numpy(first), 0, content.shape[1] - 1)
+    content = widen(device.array(content, np.float16), np.stack([upper, upper + 1], axis=1).ravel(), device=device)
+    return content, np.arange(0, 2 * len(upper), 2), 2 * len(upper)
 
 
 def _by_groups(device, content, table, first, ids, out, entries, rows, cols):
@@ -103,6 +114,7 @@ def cases():
         light = 10.0 ** random.uniform(-3, 5, (rows, cols))
         yield _case(f"cube {shape}", random.random((entries, rows, cols)) * light, table, first)
         yield _case(f"basis {shape}", random.normal(0, 1, (entries, rows, cols)) * light, table, first)
+        yield _case(f"float16 {shape}", random.normal(0, 1, (entries, rows, cols)).astype(np.float16), table, first)
         ids = random.integers(0, entries, (rows, cols)).astype(np.uint16)
         yield _case(f"materials {shape}", light, table, first, ids)
     table = random.normal(0, 1, (6, 31))
@@ -123,7 +135,8 @@ def cases():
 
 def _case(name, content, table, first, ids=None):
     """Arrays as the stage takes them, and the largest relative error of any number by the bound in `why`."""
-    content, table, unit = content.astype(np.float32), table.astype(np.float32), 2.0**-24
+    content = content.astype(np.float16 if content.dtype == np.float16 else np.float32)
+    table, unit = table.astype(np.float32), 2.0**-24
     inputs = {"content": content, "table": table, "first": first.astype(np.int32)}
     terms = content.shape[0] if ids is None else 2
     rows, cols = content.shape[-2:]
