@@ -221,8 +221,12 @@ class Simulator:
         flat = self.device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
         return meter(flat, *weights, automatic.fractions, device=self.device)
 
-    def metered(self, light, shape, seconds: float = 1.0) -> tuple[float, float]:
-        """Exposure time [s] and analog gain by the statistics of the electrons of `seconds`, shape (..., rows, cols).
+    def metered(self, rates) -> tuple[float, float]:
+        """Exposure time [s] and analog gain that automatic exposure chooses for electrons per second, see `chosen`."""
+        return self.chosen(self.device.numpy(self.light(rates)), rates.shape)
+
+    def chosen(self, light, shape, seconds: float = 1.0) -> tuple[float, float]:
+        """The same by what `light` gave, read by the host, of the electrons of `seconds` [s], shape (..., rows, cols).
 
         Raises BadData for a scene without light, or with light that is not finite.
         """
@@ -257,7 +261,7 @@ class Simulator:
             shape = rates[0].shape
             exposure_time = self.camera.sensor.exposure_time if exposure_time is None else exposure_time
             if exposure_time is None:
-                exposure_time, gain = self.metered(self.device.numpy(self.light(rates[0])), shape)
+                exposure_time, gain = self.metered(rates[0])
             weights = shutter_weights(times, shape[-2], exposure_time, self.camera.sensor.row_time, start)
             layers = prod(shape[:-2])  # of stacked pixels, one below the other
             stacked = self.device.reshape(self.device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))

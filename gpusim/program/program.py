@@ -187,8 +187,7 @@ class Program:
         if self.meters_late and self._metered:
             return self._metered
         light, key = per_second(), (*of, simulator.metered_by)
-        found = self._kept("metered", key, lambda: simulator.metered(
-            simulator.device.numpy(simulator.light(light)), light.shape))
+        found = self._kept("metered", key, lambda: simulator.metered(light))
         self._metered = found
         return found
 
@@ -215,7 +214,7 @@ class Program:
         if light[4]:
             raise BadData(f"{scene.name}: {light[4]:.0f} of {prod(shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
-            self._metered = self.simulator.metered(light, shape, seconds)
+            self._metered = self.simulator.chosen(light, shape, seconds)
         if plan.scene is not scene and not plan.fits(light, None if found is None else found()):
             self._plan = None
 

@@ -26,7 +26,7 @@ ALLOWED = {
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
     "gpusim.readout": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner", "gpusim.program.kept"},
     "gpusim.developer": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner"},
-    "gpusim.program.kept": set(),
+    "gpusim.program.kept": {"gpusim.backends"},
     "gpusim.frame": {"gpusim.domain", "gpusim.io", "gpusim.backends", "gpusim.planner", "gpusim.report"},
     "gpusim.program": {"gpusim.domain", "gpusim.backends", "gpusim.developer", "gpusim.frame", "gpusim.kernels",
                        "gpusim.planner", "gpusim.report", "gpusim.truth"},
