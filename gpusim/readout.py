@@ -50,6 +50,11 @@ class Readout:
         return (self.sensor.binning, self.sensor.binning_mode, chip.prnu, chip.row_prnu, chip.column_prnu,
                 chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth, chip.seed)
 
+    @property
+    def has_hot_pixels(self) -> bool:
+        """Whether some pixels have a dark current of their own."""
+        return bool(self.sensor.noise.hot_pixels and self.sensor.noise.hot_current)
+
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""
         known = self._operated  # read once: another thread may put its own there
@@ -128,13 +133,10 @@ class Readout:
                          photon=self.sensor.noise.photon, seed=seed, frame=frame, frames=frames)
         if not self._digital:
             return raw
-        whole = raw if frames is not None else self.device.reshape(raw, (1, *raw.shape))
-        averages = [bin_pixels(self.device.array(np.ascontiguousarray(one), np.uint16), binning=self.sensor.binning,
-                               stride=self.stride, average=True, device=self.device)
-                    for one in self.device.numpy(whole)]
         if frames is None:
-            return averages[0]
-        return self.device.array(np.stack([self.device.numpy(one) for one in averages]), np.uint16)
+            return self._binned(raw, average=True)
+        return self.device.stack([self._binned(self.device.part(raw, number), average=True)
+                                  for number in range(raw.shape[0])])
 
     def average(self, expected, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
@@ -233,8 +235,8 @@ class Readout:
         noise_ = self.output.noise
         return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 
-    def _binned(self, charge):
-        return bin_pixels(charge, binning=self.sensor.binning, stride=self.stride, device=self.device)
+    def _binned(self, pixels, average=False):
+        return bin_pixels(pixels, binning=self.sensor.binning, stride=self.stride, average=average, device=self.device)
 
     def _response(self, rows, cols):
         """Relative response of every pixel, None where all are alike."""
@@ -247,7 +249,7 @@ class Readout:
     def _dark(self, rows, cols):
         """Dark current of hot pixels beyond the common one [e- s-1], None where there are none."""
         chip = self.sensor.noise
-        if not (chip.hot_pixels and chip.hot_current):
+        if not self.has_hot_pixels:
             return None
         return self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
 
