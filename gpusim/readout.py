@@ -13,6 +13,7 @@ from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.flag import flag
 from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
@@ -49,11 +50,6 @@ class Readout:
         chip = self.sensor.noise
         return (self.sensor.binning, self.sensor.binning_mode, chip.prnu, chip.row_prnu, chip.column_prnu,
                 chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth, chip.seed)
-
-    @property
-    def has_hot_pixels(self) -> bool:
-        """Whether some pixels have a dark current of their own."""
-        return bool(self.sensor.noise.hot_pixels and self.sensor.noise.hot_current)
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""
@@ -98,19 +94,20 @@ class Readout:
         `expected`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
         common dark current; at time 0, all that collect any. A binned pixel is defective if one of its pixels is.
         """
+        flags = self.flags(shape, exposure_time, least)
+        found = np.zeros(1, np.uint8) if flags is None else (self.device.numpy(flags) != 0).astype(np.uint8)
+        return found if found.any() else None
+
+    def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0):
+        """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
         rows, cols = prod(shape[:-1]), shape[-1]
-        chip, found = self.sensor.noise, np.zeros((rows, cols), np.uint8)
-        response, dark = self._response(rows, cols), self._dark(rows, cols)
-        if chip.dead_pixels:
-            found |= self.device.numpy(response) == 0
-        if dark is not None:
-            dark_time = min(exposure_time * chip.warmth, MOST)
-            found |= self.device.numpy(dark) > (least / dark_time if dark_time else 0.0)
-        if not found.any():
+        chip, dark = self.sensor.noise, self._dark(rows, cols)
+        response = self._response(rows, cols) if chip.dead_pixels else None
+        if response is None and dark is None:
             return None
-        if self.sensor.binning != (1, 1):
-            found = np.array(self.device.numpy(self._binned(self.device.array(found))) > 0, np.uint8)
-        return found
+        dark_time = min(exposure_time * chip.warmth, MOST)
+        return flag(response, dark, least=least / dark_time if dark_time else 0.0, binning=self.sensor.binning,
+                    stride=self.stride, device=self.device)
 
     def mean(self, mean):
         """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
@@ -249,7 +246,7 @@ class Readout:
     def _dark(self, rows, cols):
         """Dark current of hot pixels beyond the common one [e- s-1], None where there are none."""
         chip = self.sensor.noise
-        if not self.has_hot_pixels:
+        if not (chip.hot_pixels and chip.hot_current):
             return None
         return self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
 

@@ -52,31 +52,23 @@ class Shots:
 
     @property
     def defects(self):
-        """Map of the chip's dead pixels and of those whose own current shows in this exposure, kept on the device.
+        """Map of the chip's dead pixels and of those whose own current shows in this exposure, on the device.
 
-        None where it is not asked for, or no pixel is.
+        None where it is not asked for, or the chip has none.
         """
-        exposure, simulator = self.exposure, self.simulator
+        exposure, readout = self.exposure, self.simulator.readout
         if exposure.camera.processor.defects != "known":
             return None
-        shape, seconds, sensor = exposure.mean.shape, exposure.exposure_time, exposure.camera.sensor
-        readout, device = simulator.readout, simulator.device
-
-        def flags():
-            found = readout.defects(shape, seconds, HOT * sensor.read_sigma)
-            return None if found is None else device.array(found, np.uint8)
-
-        if not readout.has_hot_pixels:
-            return simulator.kept("defects", (shape, readout.chip, readout.sensor.cfa), flags)
-        return simulator.kept("defects", (shape, seconds, sensor, readout.sensor), flags)
+        shape, seconds, sensor = tuple(exposure.mean.shape), exposure.exposure_time, exposure.camera.sensor
+        return self._kept("defects", (shape, seconds, sensor, readout.sensor), lambda: readout.flags(
+            shape, seconds, HOT * sensor.read_sigma))
 
     def planes(self, raw):
         """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
         exposure, processor, known = self.exposure, self.exposure.camera.processor, self.defects
         white, gains, blur = exposure.rendering.neutral, exposure.gains, exposure.blur
-        asked = (processor.demosaic, processor.table, processor.denoise, processor.defects, One(known), white, gains,
-                 blur)
-        of = self._kept.one(raw), exposure.camera.sensor, self.simulator.readout.averaged
+        asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, gains, blur
+        of = self._kept.one(raw), self._kept.one(known), exposure.camera.sensor, self.simulator.readout.averaged
         return self._kept("camera planes", (*of, *asked), lambda: self.developer.demosaicked(
             raw, white=white, known=known, gains=gains, blur=blur))
 

@@ -13,10 +13,9 @@ from gpusim.data.mosaics import MOSAICS
 from gpusim.domain.content import Basis, Cube
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.psf import PointSpread
-from gpusim.domain.pupil import Wavefront
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum
-from gpusim.program.host import STEPS, undeclared
+from gpusim.program.host import STAGES, STEPS, undeclared
 from gpusim.program.kept import Kept
 from gpusim.program.program import Program
 
@@ -40,8 +39,9 @@ PHONE = camera_with(gs.open_camera("phone"), processor={"demosaic": "bilinear"})
 def clear_pixels():
     """Red, green, blue and clear pixels."""
     qe = PHONE.sensor.qe
-    return camera_with(sensor={"qe": Spectrum(qe.wavelengths, np.concatenate([qe.values, qe.values.sum(0)[None] / 3])),
-                               "channels": ("R", "G", "B", "W"), "cfa": MOSAICS["rgbw"]})
+    values = np.concatenate([qe.values, np.full((1, qe.values.shape[1]), 0.6)])
+    return camera_with(sensor={"qe": Spectrum(qe.wavelengths, values), "channels": ("R", "G", "B", "W"),
+                               "cfa": MOSAICS["rgbw"]})
 
 
 def measured():
@@ -80,9 +80,8 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
         "telegraph_pixels": 0.1, "telegraph": 50.0, "telegraph_switching": 0.5, "row": 2.0, "column": 3.0, "prnu": 0.01,
         "dsnu": 2.0, "reset": 3.0, "dark_current": 10.0, "adc": 0.5}), "materials", {}),
     "distorted": (camera_with(optics={"distortion": RadialPolynomial(-0.12, 0.02, 1e-4)}), "materials", {}),
-    "lateral colour": (camera_with(**FIXED, optics={"lateral_color": 0.002}), "cube", {}),
+    "lateral colour": (camera_with(**FIXED, optics={"lateral_color": 0.002}), "bands", {}),
     "measured": (measured(), "cube", {}),
-    "varying": (camera_with(optics={"wavefront": Wavefront(seidel=(0.0, 0.7, 0.5, 0.4, 0.0))}), "bands", {}),
     "no blur": (camera_with(optics={"model": "none"}), "cube", {}),
     "no blur, surroundings": (camera_with(optics={"model": "none"}), "surrounded", {}),
     "depth": (FOCUSED, "depth", {"tolerance": 1e-3}),
@@ -140,7 +139,7 @@ class Reads:
         self.steps, inner = set(), device._numpy
 
         def read(array):
-            if not device._clock.host_work:
+            if not device._clock.host_work and device._clock.charged not in STAGES:
                 self.steps |= self._steps(sys._getframe())
             return inner(array)
 
