@@ -15,6 +15,7 @@ from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum
+from gpusim.kernels.processor.color import color
 from gpusim.program.host import STAGES, STEPS, undeclared
 from gpusim.program.kept import Kept
 from gpusim.program.program import Program
@@ -176,3 +177,49 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
     fresh.update(scene=scenes[-1])
     for ours, its in ((raw, fresh.raw(seed=1, frame=FRAMES - 1)), (codes, fresh.codes(seed=1, frame=FRAMES - 1))):
         np.testing.assert_array_equal(np.array(device.numpy(ours)), np.array(device.numpy(its)))
+
+
+CHANGING = ("hot pixels", "no converter", "stacked", "binned, digital", "demosaicked by best", "denoised and shaded",
+            "white by gray-world", "noise of every kind")
+
+
+@pytest.mark.parametrize("name", CHANGING)
+@pytest.mark.parametrize("device", KINDS)
+def test_nothing_is_stale_at_another_exposure_of_every_frame(device, name):
+    """What depends on exposure time and gain alone, and on no array, is made anew with them."""
+    camera, kind, options = FEATURES[name]
+    device = gs.open_device(device)
+    scene = scenes_of(kind, device)[0]
+    program = gs.Simulator(camera, device=device, **options).program(scene)
+    for number, seconds in enumerate((1e-3, 2e-3, 4e-3, 8e-3, 0.1)):
+        found = program.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(seed=1, frame=number)
+    fresh = gs.Simulator(camera, device=device, **options).program(scene, 0.1, 1.4).codes(seed=1, frame=4)
+    np.testing.assert_array_equal(np.array(device.numpy(found)), np.array(device.numpy(fresh)))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_stream_does_not_wait_for_its_metering(device, monkeypatch):
+    device = gs.open_device(device)
+    simulator = gs.Simulator(PHONE, device=device, tolerance=4e-4)
+    for number, _ in enumerate(simulator.stream(scenes_of("materials", device))):
+        if number == 2:
+            reads = Reads(device, monkeypatch)
+    assert reads.steps == set()
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_step_that_reads_is_found(device, monkeypatch):
+    """The test above can fail: colours that go through the host are seen by the tape and by the watch of reads."""
+    device = gs.open_device(device)
+
+    def through_the_host(*arguments, **options):
+        return device.array(np.array(device.numpy(color(*arguments, **options))))
+
+    monkeypatch.setattr("gpusim.developer.color", through_the_host)
+    program = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).program(
+        scenes_of("cube", device)[0])
+    reads = Reads(device, monkeypatch)
+    for number, scene in enumerate(scenes_of("cube", device)):
+        program.update(scene=scene).codes(seed=1, frame=number)
+    assert "linear" in reads.steps - {*STEPS}
+    assert undeclared(program._kept.on_host(), device.is_gpu) == [("linear", "between the stages")]
