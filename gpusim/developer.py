@@ -21,6 +21,7 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
+from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.planner.encoding import decoding
@@ -88,12 +89,11 @@ class Developer:
         if sensor.stacked:
             count = len(sensor.channels)
             size = raw.shape[0] // count
-            layers = [slice(layer * size, (layer + 1) * size) for layer in range(count)]
             stack = device.reshape(raw, (count, size, raw.shape[1]))
-            flags, planes = None if known is None else device.numpy(known), []
-            for layer, rows in enumerate(layers):
+            flags, planes = None if known is None else device.reshape(self._flags(known), stack.shape), []
+            for layer in range(count):
                 one, numbers = self._corrected(device.part(stack, layer), np.zeros((1, 1), np.int32),
-                                               None if flags is None else flags[rows],
+                                               None if flags is None else device.part(flags, layer),
                                                None if gains is None else gains[layer : layer + 1])
                 planes.append(linear(one, black_level=numbers.black, scale=numbers.scale, device=device))
             return device.reshape(device.stack(planes), (count, size, raw.shape[1]))
@@ -116,6 +116,11 @@ class Developer:
             return best(raw, phase=phase, noise=numbers.noise, blur=blur, **options)
         return {"malvar": malvar, "adaptive": adaptive}[processor.demosaic](raw, phase=phase, **options)
 
+    def _flags(self, known):
+        """A map of defects on the device."""
+        device = self.device
+        return known if isinstance(known, device.array_type) else device.array(np.asarray(known) != 0, np.uint8)
+
     def _balance(self, white) -> tuple[float, float]:
         """Factors of red and blue that make white as strong in them as in green."""
         if white is None:
@@ -135,10 +140,8 @@ class Developer:
         sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
         numbers = _Numbers(sensor.dark_level, sensor.white_level, self.noise)
         if sensor.bits == FLOAT_BITS:
-            corrected = numbers.corrected()
-            values = (device.numpy(raw) - numbers.black) * numbers.scale / corrected.scale + corrected.black
-            raw = device.array(np.rint(np.clip(values, 0, CORRECTED_WHITE)), np.uint16)
-            numbers = corrected
+            raw = quantise(raw, black_level=numbers.black, scale=numbers.scale, device=device)
+            numbers = numbers.corrected()
         if processor.defects != "none":
             raw = defects(raw, known, cfa=mosaic, detect=STANDS_OUT if processor.defects == "detect" else None,
                           noise=numbers.noise, black_level=numbers.black, device=device)
@@ -185,6 +188,8 @@ class Developer:
         """Stage -> what it does, in the order of their use."""
         sensor, processor = self.camera.sensor, self.camera.processor
         made = {}
+        if sensor.bits == FLOAT_BITS:
+            made["processor.quantise"] = f"to {CORRECTED_WHITE + 1} numbers"
         if processor.defects != "none":
             made["processor.defects"] = {"known": "the chip's known defects replaced",
                                          "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced"}[

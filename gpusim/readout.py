@@ -13,6 +13,7 @@ from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.flag import flag
 from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
@@ -93,19 +94,20 @@ class Readout:
         `expected`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
         common dark current; at time 0, all that collect any. A binned pixel is defective if one of its pixels is.
         """
+        flags = self.flags(shape, exposure_time, least)
+        found = np.zeros(1, np.uint8) if flags is None else (self.device.numpy(flags) != 0).astype(np.uint8)
+        return found if found.any() else None
+
+    def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0):
+        """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
         rows, cols = prod(shape[:-1]), shape[-1]
-        chip, found = self.sensor.noise, np.zeros((rows, cols), np.uint8)
-        response, dark = self._response(rows, cols), self._dark(rows, cols)
-        if chip.dead_pixels:
-            found |= self.device.numpy(response) == 0
-        if dark is not None:
-            dark_time = min(exposure_time * chip.warmth, MOST)
-            found |= self.device.numpy(dark) > (least / dark_time if dark_time else 0.0)
-        if not found.any():
+        chip, dark = self.sensor.noise, self._dark(rows, cols)
+        response = self._response(rows, cols) if chip.dead_pixels else None
+        if response is None and dark is None:
             return None
-        if self.sensor.binning != (1, 1):
-            found = np.array(self.device.numpy(self._binned(self.device.array(found))) > 0, np.uint8)
-        return found
+        dark_time = min(exposure_time * chip.warmth, MOST)
+        return flag(response, dark, least=least / dark_time if dark_time else 0.0, binning=self.sensor.binning,
+                    stride=self.stride, device=self.device)
 
     def mean(self, mean):
         """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
@@ -128,13 +130,10 @@ class Readout:
                          photon=self.sensor.noise.photon, seed=seed, frame=frame, frames=frames)
         if not self._digital:
             return raw
-        whole = raw if frames is not None else self.device.reshape(raw, (1, *raw.shape))
-        averages = [bin_pixels(self.device.array(np.ascontiguousarray(one), np.uint16), binning=self.sensor.binning,
-                               stride=self.stride, average=True, device=self.device)
-                    for one in self.device.numpy(whole)]
         if frames is None:
-            return averages[0]
-        return self.device.array(np.stack([self.device.numpy(one) for one in averages]), np.uint16)
+            return self._binned(raw, average=True)
+        return self.device.stack([self._binned(self.device.part(raw, number), average=True)
+                                  for number in range(raw.shape[0])])
 
     def average(self, expected, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
@@ -233,8 +232,8 @@ class Readout:
         noise_ = self.output.noise
         return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 
-    def _binned(self, charge):
-        return bin_pixels(charge, binning=self.sensor.binning, stride=self.stride, device=self.device)
+    def _binned(self, pixels, average=False):
+        return bin_pixels(pixels, binning=self.sensor.binning, stride=self.stride, average=average, device=self.device)
 
     def _response(self, rows, cols):
         """Relative response of every pixel, None where all are alike."""

@@ -44,7 +44,7 @@ class Imaging:
             return planes
         shape = made.scene.samples if made.gains is None else planes.shape[1:]
         border = "edge" if made.scene.border == "scene" else made.scene.border
-        return warp(planes, self.device.array(made.warp.nodes[None]), shape, border, made.warp.method,
+        return warp(planes, made.warp.nodes[None].astype(np.float32), shape, border, made.warp.method,
                     device=self.device)
 
     def window(self, made: Plan):
@@ -55,12 +55,12 @@ class Imaging:
         return inside, inside
 
     def stored(self, content, window=WHOLE):
-        """A content's samples in a window on the device: entries, and which entry each has or None."""
+        """A content's samples on the device, in a window if they come from the host: entries, and which each has."""
         device = self.device
 
         def cut(name):
             array = getattr(content, name)
-            array = array if window == WHOLE else np.asarray(device.numpy(array))[(..., *window)]
+            array = array[(..., *window)] if isinstance(array, np.ndarray) else array
             return device.samples(array, content.stored_type(name))
 
         *labels, planes = [cut(name) for name in content.samples]
@@ -87,6 +87,8 @@ class Imaging:
             planes = self.planes(made.table, self.stored(made.content, self.window(made)))
         planes = self._warped(made, planes)
         if made.gains is None:
+            if margin and made.warp is None and tuple(planes.shape[1:]) != made.scene.samples:
+                planes = self._inside(planes, margin)
             return self.pixels(made, planes), cfa
         if made.folded:
             rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, border, made.period, margin=margin,
@@ -96,7 +98,7 @@ class Imaging:
             if made.fft_free:
                 rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
                 if margin:
-                    rates = device.array(np.ascontiguousarray(device.numpy(rates)[:, margin:-margin, margin:-margin]))
+                    rates = self._inside(rates, margin)
             elif made.depth is None:
                 rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
                              margin=margin - made.spare, device=device)
@@ -114,6 +116,12 @@ class Imaging:
         if made.highlights is not None:
             rates = self._with_highlights(made, rates, cfa)
         return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
+
+    def _inside(self, planes, margin):
+        """Planes without `margin` samples on each side: weights of 1 change no value."""
+        starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes.shape[1:]]
+        weights = [np.ones((len(start), 1), np.float32) for start in starts]
+        return sample(planes, starts[0], weights[0], starts[1], weights[1], device=self.device)
 
     def _by_depth(self, made: Plan, planes, border):
         """The channels, each point blurred as its distance demands, nearer layers laid over farther ones.
@@ -148,7 +156,7 @@ class Imaging:
         assert made.varying is not None
         varying = made.varying
         inputs, tables = self._kept("field", (varying.kernels, *varying.edges), lambda: (
-            {name: value if name == "edges" else self.device.array(value, np.int32 if name == "index" else np.float32)
+            {name: value if name in ("edges", "index") else self.device.array(value)  # those are read on the host
              for name, value in varying.stage_inputs.items()},
             transfer(self.device, varying.kernels, varying.edges)))
         return field(planes, gains=made.gains, border=border, margin=made.scene.margin - made.spare, base=rates,

@@ -81,6 +81,14 @@ class Kept:
             self._renew(name, value, value)
         return True
 
+    def on_host(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
+        """Steps that did more than start kernels when last made on their tapes: see `gpusim.program.host`.
+
+        Each with the stages in which the host read values of the device, and those that worked on the host.
+        """
+        taped = [(name, tape) for name, (_, _, tape) in self._entries.items() if tape is not None]
+        return [(name, tuple(tape.reads), tuple(tape.host_work)) for name, tape in taped if not tape.is_replayable]
+
     def _renew(self, name, before, value):
         """Tell the arrays that a step wrote to from what they were."""
         now = [part for part in (value if isinstance(value, tuple) else (value,))

@@ -52,23 +52,25 @@ class Shots:
 
     @property
     def defects(self):
-        """Map of the chip's dead pixels and of those whose own current shows in this exposure; None where not asked."""
-        exposure, simulator = self.exposure, self.simulator
+        """Map of the chip's dead pixels and of those whose own current shows in this exposure, on the device.
+
+        None where it is not asked for, or the chip has none.
+        """
+        exposure, readout = self.exposure, self.simulator.readout
         if exposure.camera.processor.defects != "known":
             return None
-        shape, seconds, sensor = exposure.mean.shape, exposure.exposure_time, exposure.camera.sensor
-        key = shape, seconds, sensor, simulator.readout.sensor
-        return simulator.kept("defects", key, lambda: simulator.readout.defects(shape, seconds,
-                                                                                HOT * sensor.read_sigma))
+        shape, seconds, sensor = tuple(exposure.mean.shape), exposure.exposure_time, exposure.camera.sensor
+        return self._kept("defects", (shape, seconds, sensor, readout.sensor), lambda: readout.flags(
+            shape, seconds, HOT * sensor.read_sigma))
 
     def planes(self, raw):
         """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
-        exposure, processor = self.exposure, self.exposure.camera.processor
+        exposure, processor, known = self.exposure, self.exposure.camera.processor, self.defects
         white, gains, blur = exposure.rendering.neutral, exposure.gains, exposure.blur
         asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, gains, blur
-        of = self._kept.one(raw), exposure.camera.sensor, self.simulator.readout.averaged
+        of = self._kept.one(raw), self._kept.one(known), exposure.camera.sensor, self.simulator.readout.averaged
         return self._kept("camera planes", (*of, *asked), lambda: self.developer.demosaicked(
-            raw, white=white, known=self.defects, gains=gains, blur=blur))
+            raw, white=white, known=known, gains=gains, blur=blur))
 
     def linear(self, raw):
         """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""

@@ -32,7 +32,7 @@ def warp(device, planes, grids, shape, border, method="cubic", density=1.0):
     drizzle of Fruchter and Hook, PASP 114 (2002) at full pixel size, read backwards.
     """
     count, source_rows, source_cols = planes.shape
-    host_grids = np.asarray(device.numpy(grids))
+    span = _span(np.asarray(device.numpy(grids)), shape) if method == "area" else 0
     planes, grids = device.array(planes), device.array(grids)
     maps, ny, nx, _ = grids.shape
     out = device.empty((count, *shape))
@@ -47,7 +47,6 @@ def warp(device, planes, grids, shape, border, method="cubic", density=1.0):
         device.launch("optics.warp", "cubic", (maps, *shape), planes, lines, out,
                       *(() if device.kind == "opencl" else (border, per_map)), *sizes, defines=defines)
     else:
-        span = _span(host_grids, shape)
         device.launch("optics.warp", "area", (maps, *shape), planes, lines, out, float(density),
                       *(() if device.kind == "opencl" else (span, border, per_map)), *sizes,
                       defines={**defines, "SPAN": span})

@@ -43,6 +43,9 @@ def survey(device, content, table, first, ids=None):
     count, pairs = table.shape[0], first.shape[0]
     if ids is None and pairs and type_of(content) == np.float16:  # of the pairs' rows alone: they are few
         content, first, rows = _widened(device, content, first)
+    opencl = device.kind == "opencl"
+    if not (device.is_gpu or opencl):  # Warp's loops are vectors along the projections, which lie side by side for them
+        table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
     content, table, first = device.array(content), device.array(table), device.array(first, np.int32)
     ids = None if ids is None else device.array(ids, np.uint16)
     out = device.empty((pairs, 3, count + 1))
@@ -52,9 +55,6 @@ def survey(device, content, table, first, ids=None):
         _by_groups(device, content, table, first, ids, out, entries, rows, cols)
         return out
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
-    opencl = device.kind == "opencl"
-    # Warp's loops are vectors along the projections, which lie side by side for them
-    table = table if opencl else device.array(np.pad(device.numpy(table).T, ((0, 0), (0, MOST - count))))
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
     if ids is None:
         device.launch("spectral.survey", "mixed", grid, content, table, first, out, entries, rows, cols, count,
