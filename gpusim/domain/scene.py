@@ -1,5 +1,6 @@
 """What stands in front of the camera: spectral reflectance (or radiance) apart from the light."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,6 +98,14 @@ class Scene:
             if np.max(layer.depth) < farther:
                 raise BadData(f"{name}: nearer than the layer before it; the nearest comes first")
             farther = np.min(layer.depth)
+
+    def stored(self, **arrays) -> "Scene":
+        """The same with its samples, by their names in `content`, kept elsewhere: on a device; nothing is looked at."""
+        content, scene = copy(self.content), copy(self)
+        for name, array in arrays.items():
+            object.__setattr__(content, name, array)
+        object.__setattr__(scene, "content", content)
+        return scene
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -1,6 +1,5 @@
 """Frames of one scene after the other: the next scene goes to the device while this one is computed."""
 
-import dataclasses
 from collections.abc import Generator, Iterable, Iterator
 
 import numpy as np
@@ -88,9 +87,7 @@ class _Sent:
     def scene(self) -> Scene:
         """The scene, whose samples what is launched from now on waits for."""
         arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
-        if not arrays:
-            return self._scene
-        return dataclasses.replace(self._scene, content=dataclasses.replace(self._scene.content, **arrays))
+        return self._scene.stored(**arrays) if arrays else self._scene
 
     def wait(self):
         """Wait until all of it has arrived."""

@@ -19,6 +19,7 @@ Hard cases: mean 0 -> no photons; mean < 0 -> as 0; +inf -> full well; NaN -> Na
 Counts above 2^24 are rounded to float32, whose spacing is then 2 e- or more (the standard deviation is 4096 e-).
 """
 
+import functools
 from numbers import Integral
 
 import numpy as np
@@ -51,24 +52,23 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     Source: Farrell & Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
-          dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check(full_well, gain, white_level, photon, telegraph_switching, black_level, dark_electrons=dark_electrons,
+          read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check_drawn(seed, frame, frames, read)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
             raise BadData(f"{name}: shape {tuple(plane.shape)}, wanted that of the electrons, {(rows, cols)}")
     frame_cols = checked_tile(cols, first, frame_cols)
     if photon == "exact" and not device.has_fp64:
         raise DeviceError(f'{device.name}: photon = "exact" needs float64, which this device lacks; use "fast"')
-    seed, frame, read = int(seed), int(frame), int(read)
     expected = device.array(expected)
     offset, amplitude = (None if plane is None else device.array(plane) for plane in (offset, amplitude))
     count = 1 if frames is None else frames
     converter = not electrons and white_level is not None
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
-    scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    key = [signed(word) for word in seed_words(seed)]
+    drawn = *_key(int(seed)), signed(int(frame)), int(read)
     common = {"WIDTH": width, "PHOTON": PHOTONS.index(photon), "READ_NOISE": int(read_noise > 0),
               "OFFSET": int(offset is not None), "TELEGRAPH": int(amplitude is not None),
               "LINES": int(row_noise > 0 or column_noise > 0), "CONVERTER": int(converter)}
@@ -76,13 +76,19 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
         device.launch("sensor.noise", "lines", (count, -(-rows // width) + -(-cols // width)), lines, count, rows,
-                      cols, *first, float(row_noise), float(column_noise), *key, signed(frame), read, defines=common)
+                      cols, *first, float(row_noise), float(column_noise), *drawn, defines=common)
     planes = [expected if plane is None else plane for plane in (expected, offset, amplitude, lines)]
+    scale = (1.0, 0.0) if electrons else (float(gain), float(black_level))
     device.launch("sensor.noise", "noise", (count, rows, -(-cols // width)), *planes, out, rows, cols,
                   signed((first[0] * frame_cols + first[1]) % 2**32), frame_cols, float(dark_electrons),
                   float(read_noise), chance_word(telegraph_switching, 31), float(full_well), *scale,
-                  float(white_level or 0.0), *key, signed(frame), read, defines=common)
+                  float(white_level or 0.0), *drawn, defines=common)
     return device.reshape(out, (rows, cols)) if frames is None else out
+
+
+@functools.lru_cache(maxsize=64)
+def _key(seed):
+    return tuple(signed(word) for word in seed_words(seed))
 
 
 def checked_tile(cols, first, frame_cols) -> int:
@@ -93,7 +99,8 @@ def checked_tile(cols, first, frame_cols) -> int:
     return frame_cols
 
 
-def check(full_well, gain, white_level, photon, switching, seed, frame, frames, read, black_level, **magnitudes):
+@functools.lru_cache(maxsize=64)  # a video's are the same in every frame
+def check(full_well, gain, white_level, photon, switching, black_level, **magnitudes):
     """Raise OutOfRange or UnknownName for numbers that `noise` does not take."""
     for name, value in magnitudes.items():
         if not 0 <= value <= MOST:
@@ -110,6 +117,10 @@ def check(full_well, gain, white_level, photon, switching, seed, frame, frames, 
         raise UnknownName("photon", photon, PHOTONS)
     if not SLOWEST_SWITCHING <= switching <= 1:  # a state is traced back through about the inverse of it
         raise OutOfRange("telegraph_switching", switching, f"{SLOWEST_SWITCHING:g} <= telegraph_switching <= 1")
+
+
+def check_drawn(seed, frame, frames, read):
+    """Raise OutOfRange for what names no random numbers."""
     if frames is not None and not (isinstance(frames, Integral) and 0 < frames < 2**16):
         raise OutOfRange("frames", frames, "a whole number, 1 .. 65535, or None")
     for name, value, bits in (("seed", seed, 64), ("frame", frame, 32), ("read", read, 31)):

@@ -11,7 +11,7 @@ from gpusim.kernels.common.exact64_ref import uniform as uniform64
 from gpusim.kernels.common.exact_ref import f32, normal_pair, uniform
 from gpusim.kernels.common.philox_ref import chance_word, philox, seed_words
 from gpusim.kernels.common.poisson_ref import poisson, poisson_exact
-from gpusim.kernels.sensor.noise import check, checked_tile
+from gpusim.kernels.sensor.noise import check, check_drawn, checked_tile
 
 MOST_EXPECTED = f32(1e30)  # stands for infinity, so that no inf - inf arises
 TEMPORAL, TELEGRAPH, ROW, COLUMN = 0, 4, 5, 6  # random streams; 1 to 3 are those of `pattern`
@@ -21,8 +21,9 @@ def noise(expected, offset=None, amplitude=None, *, dark_electrons=0.0, read_noi
           column_noise=0.0, telegraph_switching=1.0, full_well, gain, black_level=0.0, white_level=None, photon="fast",
           seed=0, frame=0, frames=None, first=(0, 0), frame_cols=None, read=0, electrons=False):
     """See `gpusim.kernels.sensor.noise`."""
-    check(full_well, gain, white_level, photon, telegraph_switching, seed, frame, frames, read, black_level,
-          dark_electrons=dark_electrons, read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check(full_well, gain, white_level, photon, telegraph_switching, black_level, dark_electrons=dark_electrons,
+          read_noise=read_noise, row_noise=row_noise, column_noise=column_noise)
+    check_drawn(seed, frame, frames, read)
     expected, key, frame = np.asarray(expected, f32), seed_words(int(seed)), int(frame)
     rows, cols = expected.shape
     frame_cols = checked_tile(cols, first, frame_cols)
