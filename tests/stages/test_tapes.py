@@ -1,0 +1,142 @@
+"""What is made again on a tape is what is made anew, whatever has changed; replayed, it takes new contents."""
+
+import numpy as np
+import pytest
+from devices import KINDS
+
+from gpusim.backends.select import open_device
+from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
+from gpusim.kernels.sensor.bin import bin as binned
+from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.expose import expose
+from gpusim.kernels.spectral.integrate import integrate
+
+RANDOM = np.random.default_rng(3)
+BAYER = np.array([[0, 1], [1, 2]], np.int32)
+
+
+@pytest.fixture(params=KINDS)
+def device(request):
+    return open_device(request.param)
+
+
+def chain(device, content, weights, seconds, cfa=BAYER, twice=False):
+    """A few stages: planes by a constant table, the mosaic, another exposure; sometimes a step more."""
+    planes = integrate(content, device.array(weights), device=device)
+    mean = expose(planes, cfa, seconds, 1e-3, device=device)
+    mean = expect(mean, scale=0.5, device=device)
+    return expect(mean, scale=2.0, device=device) if twice else mean
+
+
+def values(device, array):
+    return np.array(device.numpy(array))
+
+
+def cube(device, shape=(5, 34, 46)):
+    return device.array(RANDOM.random(shape, np.float32))
+
+
+def test_made_again_is_made_anew(device):
+    """Other numbers, constants, sizes, kernels and numbers of steps, there and back again."""
+    tape, first, small = Tape(), cube(device), cube(device, (5, 12, 18))
+    tables = [RANDOM.random((3, 5), np.float32) for _ in range(2)]
+    mono = np.zeros((1, 1), np.int32)
+    for content, table, seconds, cfa, twice in (
+            (first, 0, 0.1, BAYER, False), (first, 0, 0.1, BAYER, False), (first, 0, 0.3, BAYER, False),
+            (first, 1, 0.3, BAYER, False), (small, 1, 0.3, BAYER, False), (first, 1, 0.3, mono, False),
+            (first, 1, 0.3, mono, True), (first, 0, 0.1, BAYER, False), (cube(device), 0, 0.1, BAYER, False)):
+        made = content, tables[table], seconds, cfa, twice
+        with noted(tape):
+            found = values_after(device, lambda made=made: chain(device, *made))
+        np.testing.assert_array_equal(found, values(device, chain(device, *made)))
+
+
+def values_after(device, make):
+    """What a computation gives, read outside of its tape."""
+    array = make()
+    with noted(None):
+        return values(device, array)
+
+
+def test_replayed_it_takes_the_contents_that_are_there(device):
+    tape, table, content = Tape(), RANDOM.random((3, 5), np.float32), cube(device)
+    source = cube(device)
+    for _ in range(2):
+        with noted(tape):
+            result = chain(device, content, table, 0.2)
+    assert tape.is_replayable
+    before = values(device, result)
+    overwrite(device, content, source)
+    np.testing.assert_array_equal(values(device, result), before)
+    tape.replay()
+    np.testing.assert_array_equal(values(device, result), values(device, chain(device, source, table, 0.2)))
+    assert (values(device, result) != before).any()
+
+
+def overwrite(device, target, source):
+    """Copy an array's values to another, by the verbs that devices have."""
+    size = int(np.prod(target.shape))
+    device._copy(target, source, size, 0, 0).start()
+
+
+def test_nothing_is_allocated_or_built_again(device, monkeypatch):
+    tape, content, table = Tape(), cube(device), RANDOM.random((3, 5), np.float32)
+    for _ in range(2):
+        with noted(tape):
+            chain(device, content, table, 0.2)
+    for name in ("_empty", "_array", "_command", "_launch"):
+        monkeypatch.setattr(device, name, lambda *_, name=name: pytest.fail(f"{name} was called"))
+    with noted(tape):
+        chain(device, content, table, 0.7)
+    tape.replay()
+
+
+def test_reads_and_work_on_the_host_are_noted(device):
+    tape, content = Tape(), cube(device)
+    with noted(tape):
+        device.numpy(content)
+    assert tape.reads == ["between the stages"]
+    assert not tape.is_replayable
+    with noted(tape), device.host_work():
+        device.numpy(content)
+    assert tape.reads == []
+    assert len(tape.host_work) == 1
+    assert not tape.is_replayable
+    with noted(tape):
+        binned(device.reshape(content, (170, 46)), binning=(2, 2), stride=(1, 1), device=device)
+    assert tape.is_replayable
+
+
+def test_large_constants_are_given_again(device):
+    """They may have been written to; small ones are compared."""
+    tape = Tape()
+    for size in (SMALL // 4, SMALL // 4 + 1):
+        constant = np.zeros(size, np.float32)
+        for number in range(3):
+            constant[-1] = number
+            with noted(tape):
+                array = device.array(constant)
+            assert values(device, array)[-1] == number
+
+
+def test_results_on_a_tape_of_ones_own_are_kept(device):
+    """Each call's array stays as it is, also of two threads' tapes."""
+    own, content, table = OwnTape(), cube(device), RANDOM.random((3, 5), np.float32)
+    results = []
+    for number in range(1, 5):
+        with noted(own.tape):
+            results.append(chain(device, content, table, 0.1 * number))
+    for number, result in enumerate(results, 1):
+        np.testing.assert_array_equal(values(device, result),
+                                      values(device, chain(device, content, table, 0.1 * number)))
+
+
+def test_a_computation_that_fails_leaves_no_trace(device):
+    tape, content, table = Tape(), cube(device), RANDOM.random((3, 5), np.float32)
+    with noted(tape):
+        chain(device, content, table, 0.2)
+    with pytest.raises(ZeroDivisionError), noted(tape):
+        chain(device, content, table, 1 / 0)
+    with noted(tape):
+        result = chain(device, content, table, 0.4)
+    np.testing.assert_array_equal(values(device, result), values(device, chain(device, content, table, 0.4)))
