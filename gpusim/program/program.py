@@ -115,7 +115,8 @@ class Program:
         """The exposure without its times."""
         last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
         is_same = last is not None and all(own is its for own, its in zip(last.settings, settings, strict=True))
-        if is_same and last.scene is self.scene and self._pending is None and self._plan is not None:
+        if is_same and last.scene is self.scene and self._pending is None and self._plan and (
+                self._plan[0] is last.plan):
             return last.exposure
         self._last = None  # its arrays are written to from here on
         made = None
