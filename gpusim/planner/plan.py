@@ -1,6 +1,6 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, partial
 from math import ceil, prod
 
@@ -78,6 +78,8 @@ class Plan:
         does. limit: relative RMS error that they keep, None without a tolerance.
     models: stage -> what is modelled, and why; left_out: what is not. predicted: named error bounds.
     not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
+    planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
+        of that one then.
     """
 
     scene: Scene
@@ -108,6 +110,7 @@ class Plan:
     left_out: list = field(default_factory=list)
     predicted: dict = field(default_factory=dict)
     not_met: str = ""
+    planned_for: str = ""
 
 
     def serves(self, scene: Scene) -> bool:
@@ -125,17 +128,26 @@ class Plan:
                 and all(getattr(own, name) == getattr(scene, name)
                         for name in ("border", "margin", "fov", "samples_per_pixel")))
 
-    def fits(self, light, survey) -> bool:
+    def drift(self, survey) -> float | None:
+        """Relative RMS error of the fused planes for a scene that this serves, by `spectral.survey`; None if exact."""
+        return None if self.watch is None or survey is None else self.watch.error(survey)
+
+    def fits(self, light, drift: float | None) -> bool:
         """Whether it is as right for a scene that it serves as it was to be for its own.
 
-        light: statistics of the scene's mean electrons, see `sensor.meter`. survey: what `spectral.survey` gave of its
-        samples, where there is a watch. What is up to THRESHOLD times the mean is no highlight: the transforms' error
-        beside it is below 10 of TRANSFORM_ERROR times the mean.
+        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what `drift` says of it. What is up
+        to THRESHOLD times the mean is no highlight: the transforms' error beside it is below 10 of TRANSFORM_ERROR
+        times the mean.
         """
         highest, mean = light[:2]
         if self.gains is not None and highest > THRESHOLD * mean:
             return False
-        return self.watch is None or PREDICTION_FACTOR * self.watch.error(survey) < (self.limit or np.inf)
+        return drift is None or PREDICTION_FACTOR * drift < (self.limit or np.inf)
+
+    def of(self, scene: Scene, drift: float | None) -> "Plan":
+        """The same as that of another scene that it serves; drift: see `drift`."""
+        known = {} if drift is None else {"relative rms": float(np.hypot(drift, TRANSFORM_ERROR))}
+        return replace(self, scene=scene, planned_for=self.scene.name, predicted=self.predicted | known)
 
 
 def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_tables,

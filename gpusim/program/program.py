@@ -64,6 +64,7 @@ class Program:
         self._pending: tuple | None = None  # numbers of the last scene, on their way from the device
         self._looked: tuple = ()
         self._metered: tuple[float, float] | None = None
+        self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Last | None = None
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
@@ -216,8 +217,10 @@ class Program:
             raise BadData(f"{scene.name}: {light[4]:.0f} of {prod(shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
             self._metered = self.simulator.chosen(light, shape, seconds)
-        if plan.scene is not scene and not plan.fits(light, None if found is None else found()):
-            self._plan = None
+        if plan.scene is not scene:
+            self._drift = plan.drift(None if found is None else found())
+            if not plan.fits(light, self._drift):
+                self._plan = None
 
     @property
     def shots(self) -> Shots:
@@ -234,8 +237,14 @@ class Program:
         return shots.codes(shots.raw(seed, frame))
 
     def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
-        """One picture with its report."""
-        return Shots(self.simulator, self.exposure, self._kept).frame(seed=seed, frame=frame)
+        """One picture with its report, by a plan that fits its scene."""
+        exposure = self.exposure
+        self.judge()
+        if self._plan is None:
+            exposure = self.exposure
+        if exposure.plan.scene is not self.scene:
+            exposure = dataclasses.replace(exposure, plan=exposure.plan.of(self.scene, self._drift))
+        return Shots(self.simulator, exposure, self._kept).frame(seed=seed, frame=frame)
 
 
 def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:

@@ -135,6 +135,9 @@ class Shots:
         white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
                                                  f"{camera.processor.target}{white}"]
+        if plan.planned_for:
+            notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but the "
+                         "relative rms are of that")
         if error is not None and plan.varying is not None:
             notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
         return Report(

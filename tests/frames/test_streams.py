@@ -113,6 +113,24 @@ def test_a_plan_that_does_not_fit_is_made_anew(device):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
+def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
+    """At once, not a frame later; and the report names the scene, and the one that was planned for."""
+    simulator, (first, second) = gs.Simulator(CAMERA, device=device, tolerance=1e-3), cubes(2)
+    program = simulator.program(first, 0.01)
+    own = program.frame().report
+    report = program.update(scene=second).frame().report
+    assert (own.scene["name"], report.scene["name"]) == ("leaves 0", "leaves 1")
+    assert not any("leaves 0" in note for note in own.notes)
+    assert any("by the plan of leaves 0" in note for note in report.notes)
+    assert report.predicted["relative rms"] == pytest.approx(own.predicted["relative rms"], rel=0.05)  # 1.1 as bright
+    odd = of_one_band(first, 24)
+    frame = program.update(scene=odd).frame()
+    fresh = simulator.program(odd, 0.01).frame()
+    np.testing.assert_array_equal(frame.mean, fresh.mean)
+    assert frame.report.predicted == fresh.report.predicted
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_highlight_is_found(device):
     """A pixel beyond what transforms can take beside the dark is split off, one frame late at most."""
     simulator, (first, second) = gs.Simulator(CAMERA, device=device, tolerance=1e-3), cubes(2)
