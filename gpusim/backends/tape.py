@@ -20,6 +20,7 @@ class Tape:
     `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
     memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
     reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
+    commands: the noted kernels and copies, in order.
     writes_anew: whether arrays are new each time, for results that are kept; then there is nothing to replay.
     """
 
@@ -27,14 +28,14 @@ class Tape:
         self.writes_anew = writes_anew
         self._requests: list = []
         self._at = 0
-        self._commands: list = []
+        self.commands: list = []
         self.reads: list[str] = []
         self.host_work: list[str] = []
 
     def begin(self):
         """The computation is made (again) from here on."""
         self._at = 0
-        self._commands, self.reads, self.host_work = [], [], []
+        self.commands, self.reads, self.host_work = [], [], []
 
     def again(self, request, make):
         """What `make()` gave for the request in this place, or gives now."""
@@ -57,7 +58,7 @@ class Tape:
 
     def start(self, command):
         """Start a command, and note that."""
-        self._commands.append(command)
+        self.commands.append(command)
         command.start()
 
     @property
@@ -67,7 +68,7 @@ class Tape:
 
     def replay(self):
         """Start the noted kernels once more, for inputs in the memory that they had."""
-        for command in self._commands:
+        for command in self.commands:
             command.start()
 
 

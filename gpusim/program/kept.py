@@ -38,11 +38,12 @@ class Kept:
         """The value as part of a key: the same until the step that made it writes to it again."""
         return One(value, self._owners.get(id(value), ("", 0))[1])
 
-    def __call__(self, name: str, key, make):
+    def __call__(self, name: str, key, make, adjust=None):
         """What `make()` gave for a key that is the same, see `compared`, or gives now.
 
         key: all that `make` depends on. Where nothing but the contents of its arrays is new, its kernels are started
-        again without it.
+        again without it. adjust: function that sets other numbers in the kernels of a tape, where the last part of the
+        key alone is other.
         """
         found = self._entries.get(name)  # read once: another thread may put its own there
         change = OTHER if found is None else compared(found[0], key)
@@ -50,7 +51,10 @@ class Kept:
             return found[1]
         tape = None if found is None or self._device is None else found[2] or Tape()
         try:
-            if found is not None and found[2] and change == REFILLED and found[2].is_replayable:
+            if found is not None and found[2] and found[2].is_replayable and (change == REFILLED or (
+                    adjust is not None and compared(found[0][:-1], key[:-1]) != OTHER)):
+                if change == OTHER:
+                    adjust(found[2])
                 found[2].replay()
                 value = found[1]
             else:

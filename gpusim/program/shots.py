@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame
+from gpusim.kernels.sensor.noise import redraw
 from gpusim.planner.rendering import transforms_of
 from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept, One
@@ -36,8 +37,9 @@ class Shots:
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
         of = self._kept.one(exposure.expected), exposure.camera.sensor, readout.sensor, exposure.exposure_time
-        return self._kept("raw", (*of, seed, frame), lambda: readout.draw(
-            exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame))
+        return self._kept("raw", (*of, (seed, frame)), lambda: readout.draw(
+            exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame),
+            lambda tape: redraw(tape, seed, frame))
 
     @property
     def developer(self) -> Developer:

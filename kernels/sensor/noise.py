@@ -68,7 +68,7 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     out = device.empty((count, rows, cols), np.uint16 if converter else np.float32)
     # CPUs need their vectors spelled out (see lanes.clh)
     width = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    drawn = *_key(int(seed)), signed(int(frame)), int(read)
+    drawn = *_key(int(seed)), signed(int(frame)), int(read)  # what launches end with: see `redraw`
     common = {"WIDTH": width, "PHOTON": PHOTONS.index(photon), "READ_NOISE": int(read_noise > 0),
               "OFFSET": int(offset is not None), "TELEGRAPH": int(amplitude is not None),
               "LINES": int(row_noise > 0 or column_noise > 0), "CONVERTER": int(converter)}
@@ -84,6 +84,15 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
                   float(read_noise), chance_word(telegraph_switching, 31), float(full_well), *scale,
                   float(white_level or 0.0), *drawn, defines=common)
     return device.reshape(out, (rows, cols)) if frames is None else out
+
+
+def redraw(tape, seed, frame):
+    """Have a tape on which one frame was drawn draw another one. Raises OutOfRange."""
+    check_drawn(seed, frame, None, 0)
+    drawn = *_key(int(seed)), signed(int(frame))
+    for command in tape.commands:
+        if command.stage == "sensor.noise":
+            command.set((*command.args[:-4], *drawn, command.args[-1]))
 
 
 @functools.lru_cache(maxsize=64)
