@@ -86,7 +86,7 @@ class Simulator:
                exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
         """One frame of every scene, an array of the device, which is written anew for the next one.
 
-        output: "codes", display codes (rows, cols, 3), or "raw", digital numbers (rows, cols). seed: of the noise;
+        output: a name of `gpusim.program.outputs.OUTPUTS`, such as "codes" or "raw". seed: of the noise;
         frames are numbered from `first`. exposure_time, gain: as for `expose`. meters_late: where the exposure is
         automatic, expose by what was metered in the frame before, as a video camera does, the first frame by its own;
         else every frame by its own, which waits for the device. The next scene goes to the device while this one is

@@ -1,9 +1,12 @@
 """From a scene's samples to the electrons that its light makes, as a plan says."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
@@ -80,42 +83,73 @@ class Imaging:
 
         planes: of the scene, before the blur, where they are known.
         """
-        device, margin = self.device, made.scene.margin
-        cfa = self.camera.sensor.cfa_indices
-        border = "edge" if made.scene.border == "scene" else made.scene.border
-        if planes is None:
-            planes = self.planes(made.table, self.stored(made.content, self.window(made)))
-        planes = self._warped(made, planes)
-        if made.gains is None:
-            if margin and made.warp is None and tuple(planes.shape[1:]) != made.scene.samples:
-                planes = self._inside(planes, margin)
-            return self.pixels(made, planes), cfa
+        device, cfa = self.device, self.camera.sensor.cfa_indices
+        if made.gains is None or (not made.folded and (made.highlights is None or made.taps is not None)):
+            return self.channels(made, planes), cfa
+        planes = self._before(made, planes)
         if made.folded:
-            rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, border, made.period, margin=margin,
-                           device=device)
+            rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, self._border(made), made.period,
+                           margin=made.scene.margin, device=device)
         else:
-            # spare samples around the scene's own: the crop of the blur begins outside of them
-            if made.fft_free:
-                rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
-                if margin:
-                    rates = self._inside(rates, margin)
-            elif made.depth is None:
-                rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
-                             margin=margin - made.spare, device=device)
-            else:
-                rates = self._by_depth(made, planes, border)
-            if made.varying is not None:
-                rates = self._with_field(made, planes, rates, border)
-            if made.taps is not None:
-                if made.highlights is not None:
-                    rates = self._with_highlights(made, rates, None)
-                return self.pixels(made, rates), cfa
-            if made.highlights is None:
-                return rates, cfa
-            rates = expose(rates, cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+            rates = expose(self._blurred(made, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
         if made.highlights is not None:
             rates = self._with_highlights(made, rates, cfa)
         return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
+
+    def channels(self, made: Plan, planes=None):
+        """What every pixel would get in every channel, before any fall-off: electrons per second (C, rows, cols).
+
+        planes: as for `rates`.
+        """
+        planes, margin = self._before(made, planes), made.scene.margin
+        if made.gains is None:
+            if margin and made.warp is None and tuple(planes.shape[1:]) != made.scene.samples:
+                planes = self._inside(planes, margin)
+            return self.pixels(made, planes)
+        channels = self._blurred(made, planes)
+        return self.pixels(made, channels if made.highlights is None else self._with_highlights(made, channels, None))
+
+    def spectral(self, made: Plan) -> Plan:
+        """The plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1].
+
+        Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
+        """
+        if made.varying is not None:
+            raise BadData(f"irradiance of {made.scene.name}: the blur of {self.camera.name} varies over the field; "
+                          'wanted optics that are the same all over the frame, or the output "electrons"')
+        nodes, optics = made.scene.wavelengths, self.camera.optics
+        scale = made.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
+        table = None if made.content.is_spectral else made.content.entry_spectra.T
+        if made.gains is None:
+            weighted = np.diag(scale) if table is None else scale[:, None] * table
+            return replace(made, weights=np.diag(scale), table=weighted)
+        return replace(made, weights=np.diag(scale), gains=np.diag(scale / made.flat), table=table, transfers=None,
+                       folded=False)
+
+    @staticmethod
+    def _border(made):
+        return "edge" if made.scene.border == "scene" else made.scene.border
+
+    def _before(self, made, planes):
+        """Planes before the blur where the lens puts them."""
+        if planes is None:
+            planes = self.planes(made.table, self.stored(made.content, self.window(made)))
+        return self._warped(made, planes)
+
+    def _blurred(self, made, planes):
+        """The channels at the scene's samples; spare ones around them where pixels are made of several."""
+        device, border, margin = self.device, self._border(made), made.scene.margin
+        # spare samples around the scene's own: the crop of the blur begins outside of them
+        if made.fft_free:
+            rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
+            if margin:
+                rates = self._inside(rates, margin)
+        elif made.depth is None:
+            rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
+                         margin=margin - made.spare, device=device)
+        else:
+            rates = self._by_depth(made, planes, border)
+        return rates if made.varying is None else self._with_field(made, planes, rates, border)
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""
@@ -180,7 +214,7 @@ class Imaging:
         cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
         places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
         shape = kernels.step, kernels.parts, kernels.spread
-        if made.taps is not None:
+        if cfa is None:
             return device.stack([splat(device.part(rates, c), np.zeros((1, 1), np.int32), places, lights.strength,
                                        cores[:, [c]], profiles[:, [c]], *shape, device=device)
                                  for c in range(rates.shape[0])])
@@ -190,10 +224,18 @@ class Imaging:
     def exposed(self, made: Plan, rates, exposure_time):
         """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
         planes, cfa = rates
-        if made.gain is not None:
-            planes = gain(planes, self.device.array(made.gain[None]), device=self.device)
-        if not self.camera.sensor.stacked:
-            return expose(planes, cfa, exposure_time, made.slope, device=self.device)
-        layers = [expose(planes, np.full((1, 1), channel, np.int32), exposure_time, made.slope, device=self.device)
-                  for channel in range(planes.shape[0])]
-        return self.device.stack(layers)
+        if self.camera.sensor.stacked:
+            return self.collected(made, planes, exposure_time)
+        return expose(self._dimmed(made, planes), cfa, exposure_time, made.slope, device=self.device)
+
+    def collected(self, made: Plan, channels, exposure_time):
+        """Every channel (C, rows, cols) with its fall-off, times the exposure time [s]."""
+        channels = self._dimmed(made, channels)
+        return self.device.stack([expose(channels, np.full((1, 1), channel, np.int32), exposure_time, made.slope,
+                                         device=self.device) for channel in range(channels.shape[0])])
+
+    def _dimmed(self, made, planes):
+        """Planes by what the light loses beyond the cos^4 law."""
+        if made.gain is None:
+            return planes
+        return gain(planes, self.device.array(made.gain[None]), device=self.device)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
@@ -18,6 +18,7 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
+from gpusim.program.outputs import OUTPUTS, output_of
 from gpusim.program.shots import Shots, without_tone
 
 SAME = object()  # of `Program.update`: as it was
@@ -51,7 +52,8 @@ class Program:
     been written to. A program is used by one thread at a time.
     A scene that the plan was not made for is looked at on the device. What is found there is read before the next
     frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
-    meters_late: by what was metered in the frame before, as a camera's video does. Then nothing waits for the device.
+    kept: what its steps gave. meters_late: expose by what was metered in the frame before, as a camera's video does.
+    Then nothing waits for the device.
     """
 
     meters_late = False
@@ -59,7 +61,7 @@ class Program:
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
         self.simulator, self.scene = simulator, scene
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
-        self._kept = Kept(simulator.device)
+        self.kept = Kept(simulator.device)
         self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
         self._pending: tuple | None = None  # numbers of the last scene, on their way from the device
         self._looked: tuple = ()
@@ -89,7 +91,7 @@ class Program:
         by, scene = self.simulator.planned_by, self.scene
         if self._plan is None or not same(self._plan[1], by) or not (
                 self._plan[0].scene is scene or self._plan[0].serves(scene)):
-            facts = self._kept("facts", One(scene), self._facts)
+            facts = self.kept("facts", One(scene), self._facts)
             self._plan = self.simulator.plan(scene, facts), by
         return self._plan[0]
 
@@ -134,20 +136,24 @@ class Program:
         while True:
             plan = self.plan
             stored, samples, planes = self._planes(plan)
-            rates = self._kept("rates", (self._kept.one(planes), One(plan)),
+            rates = self.kept("rates", (self.kept.one(planes), One(plan)),
                                partial(self.simulator.imaging.rates, plan, planes))
             self.judge()  # not sooner: the device has work while the host waits
             if self._plan is not None:
                 made = _Last((), plan, self.scene, stored, samples, planes, rates, None)
                 return dataclasses.replace(made, exposure=self._finished(made))
 
-    def _planes(self, plan):
-        """The scene's samples on the device, as parts of keys, and the planes before the blur."""
-        imaging, kept, content = self.simulator.imaging, self._kept, self._content(plan)
+    def stored(self, plan):
+        """The scene's samples on the device as a plan takes them, and these as parts of keys."""
+        imaging, content = self.simulator.imaging, self._content(plan)
         window = imaging.window(plan)
-        stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
-        samples = [kept.one(part) for part in stored]
-        planes = kept("planes", (samples, plan.table), lambda: imaging.planes(plan.table, stored))
+        stored = self.kept("content", (One(content), window), lambda: imaging.stored(content, window))
+        return stored, [self.kept.one(part) for part in stored]
+
+    def _planes(self, plan):
+        """The same, and the planes before the blur."""
+        stored, samples = self.stored(plan)
+        planes = self.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(plan.table, stored))
         return stored, samples, planes
 
     def _refilled(self, last):
@@ -156,10 +162,10 @@ class Program:
         if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
             return None  # it is metered
         stored, samples, planes = self._planes(plan)
-        if planes is not last.planes or not self._kept.refill("rates"):
+        if planes is not last.planes or not self.kept.refill("rates"):
             return None
         self.judge()
-        if self._plan is None or not self._kept.refill("mean", "expected"):
+        if self._plan is None or not self.kept.refill("mean", "expected"):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
@@ -168,7 +174,7 @@ class Program:
 
     def _finished(self, made):
         """The exposure of electrons per second."""
-        simulator, kept, plan, rates = self.simulator, self._kept, made.plan, made.rates
+        simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
@@ -189,13 +195,13 @@ class Program:
         if self.meters_late and self._metered:
             return self._metered
         light, key = per_second(), (*of, simulator.metered_by)
-        found = self._kept("metered", key, lambda: simulator.metered(light))
+        found = self.kept("metered", key, lambda: simulator.metered(light))
         self._metered = found
         return found
 
     def _look(self, made, mean, seconds):
         """Have the device look at a scene that the plan was not made for; the numbers are judged before the next."""
-        simulator, kept, plan, found = self.simulator, self._kept, made.plan, None
+        simulator, kept, plan, found = self.simulator, self.kept, made.plan, None
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
         light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
         if plan.watch is not None and plan.scene is not self.scene:
@@ -225,7 +231,17 @@ class Program:
     @property
     def shots(self) -> Shots:
         """Frames of the exposure."""
-        return Shots(self.simulator, self._exposed(), self._kept)
+        return Shots(self.simulator, self._exposed(), self.kept)
+
+    def output(self, name: str, *, seed: int = 0, frame: int = 0):
+        """One of OUTPUTS by its name, on the device; nothing beyond it and the exposure is computed.
+
+        seed, frame: of the noise, from "raw" on. Raises UnknownName, and BadData for the irradiance of a blur that
+        varies over the field.
+        """
+        if name not in OUTPUTS:
+            raise UnknownName("output", str(name), OUTPUTS)
+        return output_of(self, name, seed, frame)
 
     def raw(self, *, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame, on the device."""
@@ -244,7 +260,7 @@ class Program:
             exposure = self.exposure
         if exposure.plan.scene is not self.scene:
             exposure = dataclasses.replace(exposure, plan=exposure.plan.of(self.scene, self._drift))
-        return Shots(self.simulator, exposure, self._kept).frame(seed=seed, frame=frame)
+        return Shots(self.simulator, exposure, self.kept).frame(seed=seed, frame=frame)
 
 
 def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:

@@ -8,8 +8,8 @@ from gpusim.backends import Device
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.foreign import CPU, dlpack_kind, to_host
 from gpusim.domain.scene import Scene
+from gpusim.program.outputs import OUTPUTS
 
-OUTPUTS = ("raw", "codes")
 SLOTS = 2  # one is computed from while the other is written
 
 
@@ -28,7 +28,7 @@ def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: i
                 program.meters_late = meters_late
             else:
                 program.update(scene=scene)
-            yield getattr(program, output)(seed=seed, frame=number)
+            yield program.output(output, seed=seed, frame=number)
         if program is not None:
             program.judge()
     finally:

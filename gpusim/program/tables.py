@@ -42,7 +42,8 @@ class LensTables:
     def transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         assert made.gains is not None  # a plan with blur
-        return self._kept("transfer", self._key(made), lambda: self.combined(made, self.all_bands(made)))
+        name = f"transfer {made.gains.shape}"  # those of its wavelengths beside those of a plan
+        return self._kept(name, self._key(made), lambda: self.combined(made, self.all_bands(made)))
 
     def _key(self, made):
         """What the tables of a plan are made of."""

@@ -171,7 +171,7 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
         program.update(scene=scene)
         raw, codes = program.raw(seed=1, frame=number), program.codes(seed=1, frame=number)
     assert reads.steps <= {*STEPS}
-    assert undeclared(program._kept.on_host(), device.is_gpu) == []
+    assert undeclared(program.kept.on_host(), device.is_gpu) == []
     fresh = gs.Simulator(camera, device=device, **options).program(scenes[0])
     assert fresh.plan.scene is scenes[0]
     fresh.update(scene=scenes[-1])
@@ -222,4 +222,4 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
     for number, scene in enumerate(scenes_of("cube", device)):
         program.update(scene=scene).codes(seed=1, frame=number)
     assert "linear" in reads.steps - {*STEPS}
-    assert undeclared(program._kept.on_host(), device.is_gpu) == [("linear", "between the stages")]
+    assert undeclared(program.kept.on_host(), device.is_gpu) == [("linear", "between the stages")]

@@ -1,0 +1,129 @@
+"""Outputs by name: each is what the light's own formulas give, and what the others are made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import ALL_KINDS
+
+import gpusim as gs
+from gpusim.domain.errors import BadData, UnknownName
+from gpusim.program.outputs import OUTPUTS
+
+SIZE = (72, 56)
+CAMERA = gs.open_camera("phone")
+SECONDS = 0.01
+
+
+def camera_with(**parts):
+    return replace(CAMERA, **{part: replace(getattr(CAMERA, part), **settings) for part, settings in parts.items()})
+
+
+def given(simulator, scene, name):
+    program = simulator.program(scene, SECONDS)
+    return np.array(simulator.device.numpy(program.output(name, seed=1, frame=2)), np.float64)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_irradiance_of_a_flat_scene_is_that_of_the_camera_equation(device):
+    """E = pi T L / (1 + 4 N^2 (1 + |m|)^2), cos^4 of the field: by hand, without any of gpusim's own factors."""
+    optics = CAMERA.optics
+    camera = camera_with(optics={"transmission": 0.8})
+    scene = gs.chart("flat", size=SIZE)
+    found = given(gs.Simulator(camera, device=device), scene, "irradiance")
+    nodes = scene.wavelengths
+    assert found.shape == (len(nodes), SIZE[1], SIZE[0])
+    reflectance = scene.content.bands_at(slice(None))[:, 0, 0]
+    radiance = reflectance * np.interp(nodes, scene.illuminant.wavelengths, scene.illuminant.values)
+    magnified = optics.f_number * (1 + optics.image_distance / optics.object_distance
+                                   if np.isfinite(optics.object_distance) else 1.0)
+    wanted = np.pi * 0.8 * radiance / (1 + 4 * magnified**2)
+    y, x = (np.arange(n) - (n - 1) / 2 for n in found.shape[1:])
+    slope = CAMERA.sensor.pixel_pitch / optics.image_distance
+    wanted = wanted[:, None, None] / (1 + slope**2 * (y[:, None] ** 2 + x**2)) ** 2
+    # two transforms in float32 (2.4e-6 of the peak, see optics.blur), and the spline of the light against a line
+    np.testing.assert_allclose(found, wanted, rtol=2e-3)
+    np.testing.assert_allclose(found / found[:, [28], [36]][..., None], wanted / wanted[:, [28], [36]][..., None],
+                               rtol=1e-5)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("optics", [{}, {"model": "none"}, {"distortion": None}], ids=["airy", "none", "plain"])
+def test_electrons_are_what_the_sensor_makes_of_the_irradiance(device, optics):
+    """sum over wavelength of QE E, by the quadrature of the plan's weights, times aperture and time."""
+    camera = camera_with(optics=optics)
+    scene = gs.chart("deadleaves", size=SIZE)
+    simulator = gs.Simulator(camera, device=device)
+    irradiance, electrons = (given(simulator, scene, name) for name in ("irradiance", "electrons"))
+    plan = simulator.plan(scene)
+    light = scene.illuminant.at(scene.wavelengths) * camera.optics.irradiance_factor
+    light = light * camera.optics.transmission_at(scene.wavelengths)
+    wanted = SECONDS * np.tensordot(plan.weights / light, irradiance, 1)
+    # both have two transforms each, 2.4e-6 of the peak
+    np.testing.assert_allclose(electrons, wanted, atol=5e-6 * wanted.max(), rtol=0)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("tolerance", [None, 1e-3])
+@pytest.mark.parametrize("scene", [gs.chart("deadleaves", size=SIZE), gs.chart("points", size=SIZE)],
+                         ids=["leaves", "highlights"])
+def test_the_mosaic_takes_each_pixels_own_channel(device, tolerance, scene):
+    simulator = gs.Simulator(CAMERA, device=device, tolerance=tolerance)
+    electrons, mean = (given(simulator, scene, name) for name in ("electrons", "mean"))
+    cfa = CAMERA.sensor.cfa_indices
+    own = np.take_along_axis(electrons, np.tile(cfa, (SIZE[1] // 2, SIZE[0] // 2))[None], axis=0)[0]
+    np.testing.assert_allclose(mean, own, atol=5e-6 * min(mean.max(), 1e3 * np.median(mean)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_from_raw_on(device):
+    simulator, scene = gs.Simulator(CAMERA, device=device), gs.chart("colorchecker", size=SIZE)
+    program = simulator.program(scene, SECONDS)
+    frame = program.frame(seed=1, frame=2)
+    for name, wanted in (("raw", frame.raw), ("linear", frame.linear), ("codes", frame.rgb), ("mean", frame.mean)):
+        found = given(simulator, scene, name).reshape(wanted.shape)
+        np.testing.assert_allclose(found, wanted, rtol=1e-6 if device == "numpy" else 0)  # frames are float32
+    display = CAMERA.display
+    xyz = np.tensordot(display.xyz_from_rgb, frame.linear.astype(float), 1)
+    np.testing.assert_allclose(given(simulator, scene, "xyz"), xyz, atol=1e-6 * np.abs(xyz).max())
+    camera = given(simulator, scene, "camera")
+    shown = np.tensordot(frame.rendering.display_from_camera, np.minimum(
+        camera, frame.rendering.ceiling[:, None, None]), 1)
+    np.testing.assert_allclose(frame.linear, shown, atol=1e-5 * np.abs(shown).max())
+
+
+def test_an_output_runs_what_it_needs_and_no_more():
+    program = gs.Simulator(CAMERA, device="opencl").program(gs.chart("deadleaves", size=SIZE), SECONDS)
+    program.output("electrons")
+    program.output("raw")
+    with program.simulator.device.timed() as ms:
+        program.output("electrons")
+    assert not ms
+    with program.simulator.device.timed() as ms:
+        program.output("raw", frame=1)
+    assert set(ms) == {"sensor.noise"}
+
+
+def test_a_stream_gives_any_of_them():
+    simulator = gs.Simulator(CAMERA, device="opencl", tolerance=1e-3)
+    scene = gs.chart("deadleaves", size=SIZE)
+    brighter = replace(scene, content=replace(scene.content, shading=scene.content.shading * np.float32(1.5)))
+    for name in OUTPUTS:
+        for _ in range(2):
+            found = [np.array(simulator.device.numpy(array)) for array in simulator.stream(
+                [scene, brighter, scene, brighter, scene], name, exposure_time=SECONDS)]
+        for array in found[2:]:
+            assert array.shape == found[0].shape
+        if name in ("irradiance", "electrons", "mean"):
+            np.testing.assert_array_equal(found[0], found[4])
+            np.testing.assert_allclose(found[3], 1.5 * found[2], rtol=1e-4, atol=1e-5 * found[3].max())
+
+
+def test_refuses():
+    program = gs.Simulator(CAMERA, device="numpy").program(gs.chart("deadleaves", size=SIZE), SECONDS)
+    with pytest.raises(UnknownName, match="output"):
+        program.output("film")
+    varying = camera_with(optics={"lateral_color": 1e-3})
+    assert varying.optics.varies
+    with pytest.raises(BadData, match="varies over the field"):
+        gs.Simulator(varying, device="numpy").program(gs.chart("deadleaves", size=SIZE), SECONDS).output("irradiance")
