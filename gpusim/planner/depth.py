@@ -19,11 +19,9 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
+from gpusim.planner.edges import MOST_LAYERS, Edges
 
 MOST_KERNELS = 64
-MOST_LAYERS = 16
-JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
-STEP = 0.25  # [pixel] of circle of confusion between the places where the picture may be cut
 TOLERANCE = 1e-4  # relative root mean square error where none is asked for
 
 
@@ -150,7 +148,7 @@ def plan_depth(optics: Optics, pitch: float, depth, brightness, tolerance: float
         raise OutOfRange("depth", f"circles of confusion of {low:.4g} .. {high:.4g} pixels, which need {len(nodes)} "
                          f"kernels for an error of {tolerance:.2g}",
                          f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth")
-    edges = _Edges.of(confusion, light)
+    edges = Edges.of(confusion, light)
     plain = edges.plain(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {"depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
@@ -269,188 +267,3 @@ def _derivative_table(order, q):
         folded = some.reshape(2 * reach + 1, len(f), 2 * reach + 1, len(f)).sum(axis=(0, 2))
         values.append(0.5 * np.log(np.mean(power * folded**2)))
     return known, np.array(values)
-
-
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Neighbouring pixels of different circles of confusion; arrays (n,), the nearer pixel's first.
-
-    near, far: signed circles of confusion [pixel]. light_near, light_far: brightness. lags, variation: mean square
-    difference of brightness at these distances [pixel] within a surface.
-    """
-
-    near: np.ndarray
-    far: np.ndarray
-    light_near: np.ndarray
-    light_far: np.ndarray
-    lags: np.ndarray
-    variation: np.ndarray
-
-    @classmethod
-    def of(cls, confusion, light):
-        """All pairs along rows and columns."""
-        pairs = []
-        for axis in (0, 1):
-            one, two = (np.take(a, range(a.shape[axis] - 1), axis).ravel() for a in (confusion, light))
-            other, its = (np.take(a, range(1, a.shape[axis]), axis).ravel() for a in (confusion, light))
-            swap = one > other
-            unequal = one != other
-            pairs.append([np.where(swap, b, a)[unequal] for a, b in ((one, other), (other, one), (two, its),
-                                                                      (its, two))])
-        lags = [2**k for k in range(12) if 2**k < max(light.shape)]
-        return cls(*map(np.concatenate, zip(*pairs, strict=True)), np.array([0, *lags]),
-                   np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]))
-
-    @property
-    def jumps(self):
-        """Which of the pairs are edges."""
-        return self.far - self.near > JUMP
-
-    def plain(self, light, power):
-        """Relative error where light is spread by depth alone, and divided by what even light would give.
-
-        At an edge between even surfaces f before b the picture is E_f I_f + (1 - E_f) I_b, E the edge spread of a disc;
-        without occlusion it is (E_f I_f + (1 - E_b) I_b) / (1 + E_f - E_b). Besides, each point of the pupil sees other
-        parts of b than it should: the covariance of that with what b varies by.
-        """
-        if not self.jumps.any():
-            return 0.0
-        return float(np.sqrt(self._plain().sum() / (power * light.size)))
-
-    def slopes(self, light, power):
-        """Relative error on surfaces that slope, where the kernel of the point that is seen stands for the pixel's.
-
-        A pixel sees the surface at y = x + r(y) u, u even in the pupil: in terms of y its kernel is that of the point
-        times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] = 1/4). Of gradients of a 1/f picture a
-        disc of radius r leaves about 0.75 / r.
-        """
-        some = ~self.jumps
-        moved = (self.far - self.near)[some] / 8 * np.minimum(np.abs(self.near[some]) / 2, 0.75)
-        return float(np.sqrt(((moved * (self.light_near - self.light_far)[some]) ** 2).sum() / (power * light.size)))
-
-    def _plain(self):
-        some = self.jumps
-        near, far = self.near[some] / 2, self.far[some] / 2
-        step = (self.light_near - self.light_far)[some] ** 2
-        return np.hypot(near, far) * (step * _edge("plain", near, far) + self._hidden(near, far)
-                                      + self._covariance(far) * _edge("differs", near, far))
-
-    def _hidden(self, near, far):
-        """Squared error of what is hidden, if it is guessed from what is visible beside it.
-
-        It errs as much as pixels a lag apart differ, half the sum of the radii; the far kernel averages that over its
-        chord, of which pieces a lag long are independent.
-        """
-        lag = (np.abs(near) + np.abs(far)) / 2
-        guess = np.interp(lag, self.lags, self.variation) / (1 + 2 * np.abs(far) / np.maximum(lag, 1e-9))
-        return guess * _edge("hidden", near, far)
-
-    def given(self, light, power):
-        """Relative error of layers of which nothing has to be guessed: `_layered` without what is hidden."""
-        near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
-        left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
-        return float(np.sqrt(left.sum() / (power * light.size)))
-
-    def _layered(self, some):
-        """Squared error of pairs in different layers: what is hidden is guessed, and the product is an approximation.
-
-        The product of transmission and background is exact where one of the two is in focus; otherwise their covariance
-        over the pupil is left out.
-        """
-        near, far = self.near[some] / 2, self.far[some] / 2
-        jump = (self.far - self.near)[some] > JUMP  # what a slope hides is next to what it shows
-        return np.hypot(near, far) * (np.where(jump, self._hidden(near, far), 0)
-                                      + self._covariance(far) * _edge("covariance", near, far))
-
-    def _covariance(self, radius):
-        """Squared covariance of a background within a disc with half of the disc, over the variance of that half.
-
-        A background varies by half its structure function at 0.9 radii, the mean distance of two points of a disc; for
-        gradients of all directions 36 % of that goes with the half, and of 1/f pictures gradients are two thirds.
-        """
-        return 0.36 * 2 / 3 * np.interp(0.9 * np.abs(radius), self.lags, self.variation) / 2
-
-    def cuts(self, low, high, enough):
-        """Circles of confusion at which to cut into layers, increasing; the squared error left is below `enough`.
-
-        One by one, each where it removes the most: the error without layers of the edges that it cuts, less the error
-        with layers of these and of the surfaces that it cuts.
-        """
-        some = self.jumps
-        if not some.any():
-            return np.empty(0)
-        count = int(np.ceil((high - low) / STEP))
-        first, last = (np.clip(((c - low) / STEP).astype(int), 0, count - 1) for c in (self.near, self.far))
-        smooth = (first != last) & ~some
-        cost = _covering(first[smooth], last[smooth], self._layered(smooth), count)
-        plain, layered = self._plain(), self._layered(some)
-        first, last = first[some], last[some]
-        cut = np.zeros(len(plain), bool)
-        found: list[int] = []
-        while len(found) < MOST_LAYERS - 1 and plain[~cut].sum() > enough:
-            gain = _covering(first[~cut], last[~cut], (plain - layered)[~cut], count) - cost
-            best = int(np.argmax(gain))
-            if not gain[best] > 0:
-                break
-            same = np.flatnonzero(gain < gain[best] * (1 - 1e-9))  # the middle of all that are as good
-            best = (best + min((i for i in same if i > best), default=count) - 1) // 2
-            cut |= (first < best) & (last >= best)
-            found.append(best)
-        return low + STEP * np.sort(np.array(found, float))
-
-    def layered(self, cuts, light, power):
-        """Relative error where the picture is cut at `cuts`: of what is cut, and of the edges that are not."""
-        apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
-        left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
-        return float(np.sqrt((left + self._layered(apart).sum()) / (power * light.size)))
-
-
-def _variation(confusion, light, lag):
-    """Mean square difference of brightness of pixels `lag` apart along rows or columns on one surface."""
-    total, count = 0.0, 0
-    for axis in (0, 1):
-        if light.shape[axis] > lag:
-            before, after = (tuple(slice(None) if a != axis else part for a in (0, 1))
-                             for part in (slice(None, -lag), slice(lag, None)))
-            same = np.abs(confusion[after] - confusion[before]) <= JUMP
-            total += float((((light[after] - light[before]) ** 2) * same).sum())
-            count += int(same.sum())
-    return total / max(count, 1)
-
-
-def _covering(first, last, values, count):
-    """Sum of the values of all pairs that a cut before bin i parts, i = 0 .. count - 1: first < i <= last."""
-    steps = (np.bincount(first + 1, values, count + 1) - np.bincount(last + 1, values, count + 1))[:count]
-    return np.cumsum(steps)
-
-
-def _edge(what, near, far):
-    """Integral across a straight edge, over the root of the sum of the squared radii, which are signed."""
-    angles, tables = _edge_tables()
-    return np.interp(np.arctan2(np.abs(far), np.abs(near) * np.where(near * far < 0, -1, 1)), angles, tables[what])
-
-
-@lru_cache(maxsize=1)
-def _edge_tables():
-    """Integrals over t of squared errors for radii (cos, sin) of an angle: see `_Edges`.
-
-    plain: of even surfaces. hidden: share of a pixel's light that is guessed. covariance: variance over the pupil of
-    what hides; differs: of where that is wrong when b's kernel is taken for f's.
-    """
-    angles = np.linspace(0, np.pi, 257)
-    t = (np.arange(4000) + 0.5) / 2000 - 1
-    tables = {"plain": [], "hidden": [], "covariance": [], "differs": []}
-    for angle in angles:
-        near, far = (_edge_spread(t, abs(radius)) for radius in (np.cos(angle), np.sin(angle)))
-        more = near - far
-        wrong = np.abs(more) if angle <= np.pi / 2 else np.where(t > 0, 2 - near - far, near + far)
-        for name, value in (("plain", (more * near / (1 + more)) ** 2), ("hidden", ((1 - near) * far) ** 2),
-                            ("covariance", near * (1 - near)), ("differs", wrong - more**2)):
-            tables[name].append(2 * np.mean(value))
-    return angles, {name: np.array(values) for name, values in tables.items()}
-
-
-def _edge_spread(t, radius):
-    """Image of an edge, bright at t > 0, blurred by an even disc."""
-    x = np.clip(t / max(radius, 1e-9), -1, 1)
-    return 0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi
