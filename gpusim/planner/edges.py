@@ -1,4 +1,4 @@
-"""Where the circle of confusion jumps from pixel to pixel: the errors of blur by depth there, and where to cut layers."""
+"""Where the circle of confusion jumps between pixels: the errors of blur by depth there, and where to cut layers."""
 
 from dataclasses import dataclass
 from functools import lru_cache
