@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
 from gpusim.backends.caches import prepare_opencl
-from gpusim.backends.device import Transfer
+from gpusim.backends.commands import Arriving, Command, Copy
 from gpusim.backends.pocl import known_processor
 from gpusim.backends.tape import SMALL, Taped
 from gpusim.domain.errors import DeviceError
@@ -20,77 +20,6 @@ from gpusim.domain.memory import Pinned
 
 PAGE = 4096
 CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
-
-
-class _Command:
-    """A kernel of its own with its arguments. stage: that is charged. spare: where the kernel goes in the end."""
-
-    def __init__(self, device, stage, kernel, pieces, args, spare):
-        self.device, self.stage, self.kernel, self.args, self.spare = device, stage, kernel, args, spare
-        self.pieces = [(size[::-1], block[::-1], offset[::-1] if any(offset) else None)
-                       for size, block, offset in pieces]
-        self.enqueue = device._cl.enqueue_nd_range_kernel
-        for index, value in enumerate(args):
-            self._set(index, value)
-
-    def __del__(self):
-        self.spare.append(self.kernel)
-
-    def _set(self, index, value):
-        if isinstance(value, OpenCLArray):
-            value = value.buffer
-        elif isinstance(value, int | np.integer):
-            value = np.int32(value)
-        else:
-            value = np.float32(value)
-        self.kernel.set_arg(index, value)
-
-    def set(self, args):
-        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
-            if new is old or (not isinstance(new, OpenCLArray) and new == old):
-                continue
-            self._set(index, new)
-        self.args = args
-
-    def start(self):
-        device = self.device
-        with device._lock:
-            for size, block, offset in self.pieces:
-                event = self.enqueue(device.queue, self.kernel, size, block, offset)
-                clock = device._clock
-                if clock.times is not None:
-                    clock.events.append((self.stage, event))
-            device._keep(self.args)
-
-
-class _Transfer(Transfer):
-    def __init__(self, device, array, event):
-        super().__init__(array)
-        self.device, self.event = device, event  # the event keeps the values
-
-    def join(self):
-        self.device._cl.enqueue_barrier(self.device.queue, wait_for=[self.event])
-        return self.array
-
-    def wait(self):
-        self.event.wait()
-
-
-class _Copy:
-    """A copy between two arrays in turn with the kernels."""
-
-    def __init__(self, device, target, source, count, start, to):
-        self.device, self.target, self.source, size = device, target, source, source.dtype.itemsize
-        self.stage = device._clock.charged or "copies"
-        self.range = {"byte_count": count * size, "src_offset": start * size, "dst_offset": to * size}
-
-    def start(self):
-        device, clock = self.device, self.device._clock
-        with device._lock:
-            event = device._cl.enqueue_copy(device.queue, self.target.buffer, self.source.buffer, **self.range)
-            if clock.times is not None:
-                clock.events.append((self.stage, event))
-            device._keep((self.target, self.source))
 
 
 class OpenCLDevice(Taped):
@@ -140,10 +69,9 @@ class OpenCLDevice(Taped):
         if values.nbytes > SMALL:
             self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
         else:  # a blocking copy would wait for all that was launched before
-            event = self._cl.enqueue_copy(self.queue, result.buffer, values.copy(), is_blocking=False)
             done = self._cl.command_execution_status.COMPLETE
-            with self._lock:
-                self._sent.append(event)  # it keeps the values
+            with self._lock:  # the queue stays
+                self._sent.append(self._cl.enqueue_copy(self.queue, result.buffer, values.copy(), is_blocking=False))
                 while self._sent and self._sent[0].command_execution_status == done:
                     self._sent.popleft()
         return result
@@ -197,14 +125,15 @@ class OpenCLDevice(Taped):
         event = self._cl.enqueue_copy(self._copies, target.buffer, values, is_blocking=False,
                                       wait_for=None if after is None else [after])
         self._copies.flush()
-        return _Transfer(self, target, event)
+        return Arriving(self, target, event)
 
     def fetch(self, array):
         if self.on_host:
             return super().fetch(array)
         free = self._landings[array.shape, array.dtype]
         values = free.pop() if free else self.pinned(array.shape, array.dtype)
-        event = self._cl.enqueue_copy(self.queue, values, array.buffer, is_blocking=False)
+        with self._lock:
+            event = self._cl.enqueue_copy(self.queue, values, array.buffer, is_blocking=False)
 
         def fetched():
             event.wait()
@@ -214,7 +143,10 @@ class OpenCLDevice(Taped):
         return fetched
 
     def mark(self):
-        return None if self.on_host else self._cl.enqueue_marker(self.queue)
+        if self.on_host:
+            return None
+        with self._lock:
+            return self._cl.enqueue_marker(self.queue)
 
     def _reshape(self, array, shape):
         host = None if array.host is None else array.host.reshape(shape)
@@ -236,7 +168,7 @@ class OpenCLDevice(Taped):
         return array.dtype
 
     def _copy(self, target, source, count, start, to):
-        return _Copy(self, target, source, count, start, to)
+        return Copy(self, target, source, count, start, to)
 
     def _launch(self, stage, kernel, grid, args, defines, group):
         clock, values = self._clock, [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
@@ -265,7 +197,7 @@ class OpenCLDevice(Taped):
         except IndexError:
             with self._lock:
                 entry = self._cl.Kernel(self._program(stage, defines), kernel)
-        return _Command(self, self._clock.charged or stage, entry, self._pieces(tuple(grid), group), args, spare)
+        return Command(self, self._clock.charged or stage, entry, self._pieces(tuple(grid), group), args, spare)
 
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).
