@@ -17,8 +17,10 @@ ALLOWED = {
     "gpusim.io.archive": {"gpusim.domain", "gpusim.io.files"},
     "gpusim.data": {"gpusim.domain", "gpusim.io.archive", "gpusim.io.atomic", "gpusim.io.files"},
     "gpusim.io": {"gpusim.domain", "gpusim.data"},
+    "gpusim.optics": {"gpusim.domain"},
     "gpusim.backends": {"gpusim.domain", "gpusim.kernels"},  # by path alone: it loads kernels by file name
-    "gpusim.kernels": {"gpusim.domain", "gpusim.backends", "gpusim.data"},  # data: built-in filter tables
+    # data: built-in filter tables
+    "gpusim.kernels": {"gpusim.domain", "gpusim.optics", "gpusim.backends", "gpusim.data"},
     "gpusim.measure": {"gpusim.domain", "gpusim.data", "gpusim.planner"},
     "gpusim.planner": {"gpusim.domain", "gpusim.data"},
     "gpusim.report": {"gpusim.domain"},

@@ -14,7 +14,7 @@ from gpusim.domain.psf import PointSpread, gaussian_kernel, pillbox_kernel
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.airy_ref import otf as airy_otf
-from gpusim.kernels.optics.otf import hopkins, transfer
+from gpusim.optics.otf import hopkins, transfer
 from gpusim.planner.psf import psf_tables
 
 CLEAR, FLAT = Pupil(), np.zeros((1, 5, 5))
