@@ -22,7 +22,7 @@ ALLOWED = {
     # data: built-in filter tables
     "gpusim.kernels": {"gpusim.domain", "gpusim.optics", "gpusim.backends", "gpusim.data"},
     "gpusim.measure": {"gpusim.domain", "gpusim.data", "gpusim.planner"},
-    "gpusim.planner": {"gpusim.domain", "gpusim.data"},
+    "gpusim.planner": {"gpusim.domain", "gpusim.data", "gpusim.optics"},
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
@@ -31,7 +31,7 @@ ALLOWED = {
     "gpusim.program.kept": {"gpusim.backends"},
     "gpusim.frame": {"gpusim.domain", "gpusim.io", "gpusim.backends", "gpusim.planner", "gpusim.report"},
     "gpusim.program": {"gpusim.domain", "gpusim.backends", "gpusim.developer", "gpusim.frame", "gpusim.kernels",
-                       "gpusim.planner", "gpusim.report", "gpusim.truth"},
+                       "gpusim.optics", "gpusim.planner", "gpusim.report", "gpusim.truth"},
     "gpusim.simulator": {"gpusim.domain", "gpusim.backends", "gpusim.frame", "gpusim.kernels", "gpusim.planner",
                          "gpusim.program", "gpusim.readout", "gpusim.report", "gpusim.truth"},
     "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer", "gpusim.kernels",
@@ -39,7 +39,7 @@ ALLOWED = {
     "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
                           "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
     "gpusim.focus": {"gpusim.domain", "gpusim.frame", "gpusim.simulator"},
-    "gpusim.truth": {"gpusim.domain", "gpusim.planner"},
+    "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
 }
 
 
