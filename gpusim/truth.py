@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
+from gpusim.optics.lens import open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.border import at_samples, rule_of, tail_of, unseen
-from gpusim.planner.lens import open_lens, spread_radius, wavelength_nodes
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
 RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least

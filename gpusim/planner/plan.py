@@ -14,15 +14,16 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.lens import open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.border import Outside, blurred_level, broken, enough_reach, most_reach, rule_of, tail_of
 from gpusim.planner.depth import DepthPlan, plan_depth
+from gpusim.planner.differences import Differences
 from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
-from gpusim.planner.lens import Differences, open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.sampling import (
     AREA,
     NODES,

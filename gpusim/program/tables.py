@@ -7,9 +7,9 @@ from gpusim.domain.camera import Camera
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.psf import psf_tables
 from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import Plan
-from gpusim.planner.psf import psf_tables
 from gpusim.program.kept import Kept
 
 FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them

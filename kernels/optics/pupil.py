@@ -25,17 +25,9 @@ import numpy as np
 
 from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
-from gpusim.kernels.optics.otf import (
-    FAST,
-    defocus_only,
-    expansion,
-    hopkins,
-    peak_to_valley,
-    require_points,
-    scales,
-    transfer,
-)
 from gpusim.kernels.stage import Case, stage
+from gpusim.optics.otf import FAST, defocus_only, hopkins, transfer
+from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
 POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's second derivative jumps

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from gpusim.domain.pupil import symmetric
-from gpusim.kernels.optics.otf import EXACT, defocus_only, expansion, hopkins, transfer
 from gpusim.kernels.optics.pupil import cutoff_polygon, polar_table
+from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
+from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
 SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth

@@ -14,8 +14,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.field import field, transfer
+from gpusim.optics.lens import open_lens
 from gpusim.planner.field import choose, eigen_kernels, image_error, overlap_add
-from gpusim.planner.lens import open_lens
 
 SIZE = 33
 ONE = np.ones((1, 1), np.float32)

@@ -20,9 +20,9 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.lens import PupilLens
+from gpusim.optics.psf import psf_tables
 from gpusim.planner.geometry import vignetting_gain
-from gpusim.planner.lens import PupilLens
-from gpusim.planner.psf import psf_tables
 from gpusim.planner.sampling import moments, sampling_error
 from gpusim.simulator import Simulator
 
@@ -125,7 +125,7 @@ def test_measured_spreads_are_integrated_over_displaced_rectangles():
 def test_field_kernels_are_integrated_over_displaced_rectangles():
     """Kernels on the axis against the Airy pattern's quadrature, both over the sum within the kernel: 1e-3 of the peak.
 
-    That is what the lens's own quadrature is laid out for (QUADRATURE in planner/lens.py).
+    That is what the lens's own quadrature is laid out for (QUADRATURE in optics/lens.py).
     """
     optics = camera().optics
     q, size = 0.8, 15

@@ -17,10 +17,12 @@ ALLOWED = {
     "gpusim.io.archive": {"gpusim.domain", "gpusim.io.files"},
     "gpusim.data": {"gpusim.domain", "gpusim.io.archive", "gpusim.io.atomic", "gpusim.io.files"},
     "gpusim.io": {"gpusim.domain", "gpusim.data"},
+    "gpusim.optics": {"gpusim.domain"},
     "gpusim.backends": {"gpusim.domain", "gpusim.kernels"},  # by path alone: it loads kernels by file name
-    "gpusim.kernels": {"gpusim.domain", "gpusim.backends", "gpusim.data"},  # data: built-in filter tables
+    # data: built-in filter tables
+    "gpusim.kernels": {"gpusim.domain", "gpusim.optics", "gpusim.backends", "gpusim.data"},
     "gpusim.measure": {"gpusim.domain", "gpusim.data", "gpusim.planner"},
-    "gpusim.planner": {"gpusim.domain", "gpusim.data"},
+    "gpusim.planner": {"gpusim.domain", "gpusim.data", "gpusim.optics"},
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
     "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
@@ -29,7 +31,7 @@ ALLOWED = {
     "gpusim.program.kept": {"gpusim.backends"},
     "gpusim.frame": {"gpusim.domain", "gpusim.io", "gpusim.backends", "gpusim.planner", "gpusim.report"},
     "gpusim.program": {"gpusim.domain", "gpusim.backends", "gpusim.developer", "gpusim.frame", "gpusim.kernels",
-                       "gpusim.planner", "gpusim.report", "gpusim.truth"},
+                       "gpusim.optics", "gpusim.planner", "gpusim.report", "gpusim.truth"},
     "gpusim.simulator": {"gpusim.domain", "gpusim.backends", "gpusim.frame", "gpusim.kernels", "gpusim.planner",
                          "gpusim.program", "gpusim.readout", "gpusim.report", "gpusim.truth"},
     "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer", "gpusim.kernels",
@@ -37,7 +39,7 @@ ALLOWED = {
     "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
                           "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
     "gpusim.focus": {"gpusim.domain", "gpusim.frame", "gpusim.simulator"},
-    "gpusim.truth": {"gpusim.domain", "gpusim.planner"},
+    "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
 }
 
 

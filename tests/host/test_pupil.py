@@ -14,8 +14,8 @@ from gpusim.domain.psf import PointSpread, gaussian_kernel, pillbox_kernel
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.airy_ref import otf as airy_otf
-from gpusim.kernels.optics.otf import hopkins, transfer
-from gpusim.planner.psf import psf_tables
+from gpusim.optics.otf import hopkins, transfer
+from gpusim.optics.psf import psf_tables
 
 CLEAR, FLAT = Pupil(), np.zeros((1, 5, 5))
 COMA = Wavefront(seidel=(0, 0.7, 0.5, 0.4, 0))  # the corner of the mild lens of the notes on field variation

@@ -15,8 +15,8 @@ from numpy.polynomial.polynomial import polyval2d
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
-from gpusim.kernels.optics.otf import transfer
 from gpusim.kernels.optics.pupil import polar_table, pupil, radial_table
+from gpusim.optics.otf import transfer
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 PLACES = np.array([0.11, 0.37, 0.63, 0.86])  # s
@@ -150,7 +150,7 @@ def no_integral(monkeypatch):
         raise AssertionError("a refused wavefront was integrated")
 
     with monkeypatch.context() as patched:
-        patched.setattr(importlib.import_module("gpusim.kernels.optics.otf"), "_integral", integrated)
+        patched.setattr(importlib.import_module("gpusim.optics.otf"), "_integral", integrated)
         yield
 
 

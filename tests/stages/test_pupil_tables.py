@@ -10,8 +10,8 @@ from test_pupil import CLEAR, COMA, FLAT, defocus
 from gpusim.domain.pupil import Pupil
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
-from gpusim.kernels.optics.otf import transfer
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.otf import transfer
 
 
 def image_of_a_point(outline, waves, q, size, period, device):

@@ -1,0 +1,247 @@
+"""Optical transfer function of any pupil with any wavefront, by Gauss quadrature over the overlap, float64.
+
+    O(s) = 1 / A  integral of  P(r + s) P(r - s) exp(2 pi i (W(r + s) - W(r - s))) d^2r
+
+over the overlap of two copies of the pupil, s = frequency x lambda N from the centre to the cut-off at |s| = 1.
+Source: Hopkins, Proc. R. Soc. A 231 (1955); Goodman, Introduction to Fourier Optics, 6.4. The overlap is cut into
+panels along the direction perpendicular to s, at every point where its outline is not smooth, so that Gauss-Legendre
+nodes converge exponentially in both directions. A first number of nodes comes from how fast the phase turns
+(`gpusim.optics.phase`), and nodes are added until more of them change nothing.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, lru_cache
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebval, chebvander
+from numpy.polynomial.legendre import leggauss
+from scipy.special import roots_legendre
+
+from gpusim.domain.pupil import Pupil, symmetric
+from gpusim.optics.phase import LEAST, UNTHREADED, Budget, degree, difference, separated, turning
+
+CHUNK = 2**15  # points whose phases are in the processor's cache at a time
+PART = 128  # frequencies that share numbers of nodes
+PROBES = 8  # of these, which have to converge in a fast integration
+EXACT, FAST = 1e-10, 1e-7  # errors of the integral; fast: of sines and cosines in float32
+
+
+def hopkins(s, waves, nodes=None):
+    """Transfer function of a clear circle with defocus W020 [waves]: Hopkins' integral, real; s and waves broadcast.
+
+    The inner integral of the overlap is elementary: 4 / pi  int (cos t - s) sinc(8 W s (cos t - s)) cos t dt over
+    0 <= t <= acos s, sinc(x) = sin(pi x) / (pi x).
+    """
+    s, waves = np.broadcast_arrays(np.minimum(np.abs(s), 1.0), waves)
+    # the phase runs over 4 pi W, up and down: a Gauss rule needs pi nodes a wave and some more
+    x, weights = leggauss(nodes or 24 + int(np.ceil(4 * np.abs(waves).max(initial=0))))
+    end = np.arccos(s)[..., None]
+    t = end * (x + 1) / 2
+    half = np.maximum(np.cos(t) - s[..., None], 0)
+    return (2 / np.pi) * (end * half * np.sinc(8 * (waves * s)[..., None] * half) * np.cos(t)) @ weights
+
+
+def defocus_only(pupil: Pupil, waves) -> bool:
+    """Whether Hopkins' integral applies."""
+    order = waves.shape[-1]
+    i, j = np.indices((order, order))
+    return symmetric(pupil, waves) and not pupil.obscuration and not waves[:, i + j > 2].any()
+
+
+def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
+    """Transfer function at the frequencies (sx, sy), in units of the cut-off.
+
+    waves: coefficients [band, i, j] of x^i y^j of the wavefront [waves], shape (bands, n, n). sx, sy: shape (F,).
+    error: nodes are added along and across the overlap of every frequency until neither changes the integral by more.
+    fast: sines and cosines in float32, of phases reduced in float64, which err by 1e-7, and convergence is checked, in
+    float64, at some of the frequencies.
+    Returns complex, shape (bands, F). Raises OutOfRange where this takes more than MOST_POINTS points in all.
+    """
+    waves = np.asarray(waves, np.float64)
+    sx, sy = np.asarray(sx, np.float64), np.asarray(sy, np.float64)
+    s, angle = np.hypot(sx, sy), np.arctan2(sy, sx)
+    form = separated(waves)
+    inside = np.flatnonzero(s < 1)
+    inside = inside[np.argsort(s[inside], kind="stable")]  # the phase turns alike at frequencies of one length
+    parts = np.array_split(inside, -(-len(inside) // PART)) if len(inside) else []
+    out, budget = np.zeros((len(waves), len(s)), complex), Budget(len(waves))
+
+    def probes(part):
+        """Those where the phase turns most, along and across, and some of the others; more for rims that touch."""
+        if not fast or len(part) <= PROBES:
+            return part
+        few = [np.argsort(turn)[-PROBES // 2 :] for turn in turning(s[part], angle[part], form)]
+        few += [_spread(len(part), 2 * PROBES if pupil.obscuration else PROBES // 2)]
+        return part[np.unique(np.concatenate(few))]
+
+    def integral(part, along, across, fast=False):
+        rows = _rows(pupil, s[part], angle[part], across)
+        budget.spend(len(rows[0]) * along)
+        return _integral(rows, s[part], angle[part], form, along, fast) / (np.pi * pupil.area)
+
+    def guess(part):
+        few = probes(part)
+        along, across = (LEAST[fast] + int(degree(turn.max(), form) / 2)
+                         for turn in turning(s[few], angle[few], form))
+        if pupil.blades or pupil.obscuration:
+            panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
+            across = LEAST[fast] + int((across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max())
+            budget.need(len(part) * along * across * np.count_nonzero(panels > 1e-13) / len(few))
+        else:
+            budget.need(len(part) * along * across)
+        return few, (along, across)
+
+    def settle(part, known):
+        few, nodes = known
+        nodes, values = _converged(lambda *nodes: integral(few, *nodes), nodes, error)
+        out[:, part] = values if len(few) == len(part) else integral(part, *nodes, fast)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(settle, parts, list(pool.map(guess, parts))))
+    return out
+
+
+def _spread(length, count):
+    """At most `count` of 0 .. length - 1, spread so that they follow no period."""
+    return np.unique((np.arange(length) * 0.6180339887498949 % 1 * length).astype(int)[:count]) if (
+        count < length) else np.arange(length)
+
+
+def _converged(integral, nodes, error):
+    """Numbers of nodes along and across that `integral(along, across)` needs, and its value."""
+    along, across = nodes
+    integral = cache(integral)
+    while True:
+        more = along + along // 4 + 2, across + across // 4 + 2
+        value = integral(along, across)
+        rest = [np.abs(other - value).max() for other in (integral(more[0], across), integral(along, more[1]))]
+        if max(rest) < error:
+            return (along, across), value
+        along, across = (after if left >= error else now
+                         for now, after, left in zip((along, across), more, rest, strict=True))
+
+
+def _integral(rows, s, angle, form, nodes, fast):
+    """Sum over the rows of each frequency, (bands, F)."""
+    shapes, factors = form
+    index, v, weight, start, end = rows
+    out = np.zeros((len(factors), len(s)), complex)
+    x, gauss = _gauss(nodes)
+    # along a row W is a polynomial: its values at few points make those at all nodes
+    few, box = _box(shapes, s, angle)
+    between = chebvander(x, len(few) - 1) @ np.linalg.inv(chebvander(few, len(few) - 1))
+    middle, half = (start + end) / 2, (end - start) / 2
+    width, height = 1 - s, np.sqrt(1 - s * s)
+    # a piece has whole frequencies' rows or parts of them; what it adds is summed
+    size = max(1, min(CHUNK // nodes, UNTHREADED // (len(few) * nodes)))
+    for piece in (slice(k, k + size) for k in range(0, len(index), size)):
+        i, h = index[piece], half[piece]
+        row = np.einsum("rfij,fj->irf", box[:, i], chebvander(v[piece] / height[i], len(few) - 1))
+        u = (middle[piece, None] + h[:, None] * few) / width[i, None]
+        phase = np.tensordot(factors, chebval(u, row[..., None], tensor=False), 1) @ between.T
+        if fast:
+            phase = (phase - np.rint(phase)).astype(np.float32)
+        phase *= phase.dtype.type(2 * np.pi)
+        first = np.flatnonzero(np.diff(i, prepend=-1))
+        for part, wave in ((1, np.cos(phase)), (1j, np.sin(phase))):
+            lines = np.einsum("brn,n->br", wave, gauss.astype(wave.dtype))
+            out[:, i[first]] += part * np.add.reduceat(lines * (weight[piece] * h), first, axis=1)
+    return out
+
+
+def _box(shapes, s, angle):
+    """Chebyshev points (n,), and series (R, F, n, n) of the differences in the places u and v of the overlap's box."""
+    few = chebpts1(shapes.shape[-1])
+    to_series = np.linalg.inv(chebvander(few, len(few) - 1))
+    s, angle = s[:, None, None], angle[:, None, None]
+    u, v = np.broadcast_arrays((1 - s) * few[:, None], np.sqrt(1 - s * s) * few)
+    return few, to_series @ difference(shapes, s, angle, u, v) @ to_series.T
+
+
+@lru_cache(maxsize=256)
+def _gauss(nodes):
+    return roots_legendre(nodes)
+
+
+def _rows(pupil, s, angle, nodes):
+    """Lines of the overlap along s: frequency, offset v across s, weight, first and last u; sorted by frequency."""
+    x, gauss = _gauss(nodes)
+    faces = _faces(pupil, angle)
+    panels = _panels(pupil, s, angle, faces)
+    index, place = np.nonzero(np.diff(panels, axis=1) > 1e-13)
+    low, high = panels[index, place], panels[index, place + 1]
+    slope = np.ones_like(x)
+    if pupil.obscuration:  # (3 x - x^3) / 2 makes roots at a panel's ends smooth
+        x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
+    t = ((low + high) / 2)[:, None] + ((high - low) / 2)[:, None] * x
+    v, weight = np.sin(t), ((high - low) / 2)[:, None] * slope * gauss * np.cos(t)
+    left, right = _chord(faces, index, v, t)
+    shift = s[index, None]
+    left, right = left + shift, right - shift
+    if pupil.obscuration:
+        reach = np.sqrt(np.maximum(pupil.obscuration**2 - v * v, 0))
+        pieces = ((left, np.minimum(right, -shift - reach)),
+                  (np.maximum(left, reach - shift), np.minimum(right, shift - reach)),
+                  (np.maximum(left, shift + reach), right))
+    else:
+        pieces = ((left, right),)
+    index = np.broadcast_to(index[:, None], v.shape)
+    found = [np.concatenate(column) for column in zip(
+        *((index[keep], v[keep], weight[keep], start[keep], end[keep])
+          for start, end in pieces for keep in [end > start]), strict=True)]
+    order = np.argsort(found[0], kind="stable")
+    return [column[order] for column in found]
+
+
+def _faces(pupil, angle):
+    """Sides of the pupil, seen along the frequencies: their normals' two parts and their distance from the middle."""
+    if not pupil.blades:
+        return None
+    normal = pupil.rotation + (2 * np.arange(pupil.blades) + 1) * np.pi / pupil.blades - angle[:, None]
+    return np.cos(normal), np.sin(normal), np.cos(np.pi / pupil.blades)
+
+
+def _chord(faces, index, v, t):
+    """First and last u of the pupil at v = sin t."""
+    if faces is None:
+        return -np.cos(t), np.cos(t)
+    nu, nv, inner = faces[0][index][:, None, :], faces[1][index][:, None, :], faces[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (inner - nv * v[..., None]) / nu
+    return (np.where(nu < -1e-12, cut, -np.inf).max(axis=-1), np.where(nu > 1e-12, cut, np.inf).min(axis=-1))
+
+
+def _panels(pupil, s, angle, faces):
+    """Values of t, v = sin t, between which the outline of the overlap is smooth, ascending, shape (F, panels + 1)."""
+    hole = pupil.obscuration
+    column = s[:, None]
+    if faces is None:
+        high = np.sqrt(1 - column**2)
+        low, kinks = -high, [-high, high]
+        if hole:  # of a hole with the other copy's rim: circles of radii 1 and hole, 2 s apart
+            with np.errstate(divide="ignore", invalid="ignore"):
+                across = np.sqrt(1 - ((4 * column**2 + 1 - hole**2) / (4 * column)) ** 2)
+            kinks += [-across, across]
+    else:
+        corners = np.sort(np.sin(pupil.rotation + 2 * np.pi * np.arange(pupil.blades) / pupil.blades - angle[:, None]))
+        left, right = _chord(faces, np.arange(len(s)), corners, None)
+        width = right - left - 2 * column  # linear between the corners
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = width[:, :-1] / (width[:, :-1] - width[:, 1:])
+            roots = np.where((share > 0) & (share < 1), corners[:, :-1] + share * np.diff(corners), np.nan)
+        kinks = [corners, roots]
+        if hole:
+            nu, nv, inner = faces
+            for sign in (1, -1):
+                distance = inner + sign * 2 * column * nu
+                with np.errstate(invalid="ignore"):
+                    root = np.sqrt(hole**2 - distance**2)
+                kinks += [distance * nv - root * nu, distance * nv + root * nu]
+        low, high = corners[:, :1], corners[:, -1:]
+    if hole:
+        with np.errstate(invalid="ignore"):
+            both = np.sqrt(hole**2 - column**2)
+        kinks += [np.full_like(column, -hole), np.full_like(column, hole), -both, both]
+    kinks = np.concatenate(kinks, axis=1)
+    return np.sort(np.arcsin(np.clip(np.where(np.isnan(kinks), low, kinks), low, high)), axis=1)

@@ -1,0 +1,72 @@
+"""Kernels of a lens over the field, less those on its axis: what a model of the field has to follow."""
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.optics.lens import PupilLens, wavelength_nodes
+from gpusim.planner.field import image_error
+
+WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
+SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
+
+
+class Differences:
+    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to zero.
+
+    What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
+    differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
+    the rest.
+
+    lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
+    shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
+    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where no size of SIZES is enough.
+    """
+
+    def __init__(self, lens, wavelengths, mix, shape, corner, error):
+        self.lens, self.shape, self.corner = lens, shape, corner
+        self.nodes, between = wavelength_nodes(wavelengths)
+        self.mix = mix @ between
+        self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
+        self.size = self._enough(error)
+        self._axis = self._mixed((0.0, 0.0), self.size)
+        self._known: dict = {}
+
+    def __call__(self, places) -> np.ndarray:
+        """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
+        middle = (np.array(self.shape) - 1) / 2
+        kernels = np.empty((len(places), *self._axis.shape))
+        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - middle) / self.corner, strict=True):
+            if self.mirrored:  # the other quadrants are mirror images
+                kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
+            else:
+                kernel[:] = self._at(y, x)
+        return kernels
+
+    def _at(self, y, x):
+        key = round(y, 9), round(x, 9)
+        if key not in self._known:
+            self._known[key] = self._mixed((y, x), self.size) - self._axis
+        return self._known[key]
+
+    def _mixed(self, place, size):
+        return np.tensordot(self.mix, self.lens.kernels(self.nodes, place, size), 1)
+
+    def _enough(self, error):
+        """Size of kernels beyond which the differences at the corners cost less than `error`."""
+        least = self.lens.least_size
+        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner
+        if shift > WIDEST_SHIFT:
+            raise OutOfRange("optics.lateral_color", f"{shift:.3g} pixels at the frame's corner",
+                             f"up to {WIDEST_SHIFT} pixels; or a coarser pixel")
+        corner = (np.array(self.shape) - 1) / 2 / self.corner
+        middle = [self.nodes[len(self.nodes) // 2]]
+        whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
+        for size in SIZES:
+            if size >= least:
+                cut = (whole - axis)[None].copy()
+                inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
+                cut[..., inner, inner] = 0
+                if image_error(cut, np.zeros_like(cut))[0] <= error:
+                    return size
+        raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
+                         "narrower ones; or a coarser pixel")
