@@ -200,7 +200,7 @@ class WarpDevice(Taped):
         if self._dtype(array) != dtype:
             other, array = array, self._empty(array.shape, dtype)
             self._wp.utils.array_cast(other, array)
-        return array
+        return self._as_shown(array)
 
     def _empty(self, shape, dtype):
         return self._as_shown(
