@@ -182,7 +182,7 @@ class WarpDevice(Taped):
         except Exception as error:  # of any class by library: a tensor with a gradient, a type that Warp has not
             raise BadData(f"{self.name}: cannot read an array of {name_of(values)}: "
                           f"{str(error).partition(chr(10))[0][:150]}") from error
-        return self._fitting(array, dtype)
+        return self._fitting(self._as_shown(array), dtype)
 
     def _by_interface(self, values):
         """Array over memory of this device that the CUDA array interface tells of."""
@@ -193,6 +193,7 @@ class WarpDevice(Taped):
         return self._wp.array(values, dtype=kind, device=self.wp_device, copy=False)
 
     def _fitting(self, array, dtype):
+        given = array
         if array.device != self.wp_device:
             array = array.to(self.wp_device)
         if not array.is_contiguous:
@@ -200,7 +201,7 @@ class WarpDevice(Taped):
         if self._dtype(array) != dtype:
             other, array = array, self._empty(array.shape, dtype)
             self._wp.utils.array_cast(other, array)
-        return self._as_shown(array)
+        return array if array is given else self._as_shown(array)  # the caller's own stays as it is
 
     def _empty(self, shape, dtype):
         return self._as_shown(
