@@ -131,6 +131,13 @@ class Scene:
         return bool((self.illuminant.values != 1).any())
 
 
+def checked_scene(scene) -> Scene:
+    """Return a scene as it is. Raises BadData for anything else."""
+    if not isinstance(scene, Scene):
+        raise BadData(f"scene: {type(scene).__name__}, wanted a Scene, such as of open_scene or chart")
+    return scene
+
+
 def unit_light(wavelengths) -> Spectrum:
     """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
     return Spectrum(np.asarray(wavelengths)[[0, -1]], np.ones(2), "unknown light")

@@ -10,7 +10,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.frame import Exposure, Frame
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
@@ -59,7 +59,7 @@ class Program:
     meters_late = False
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
-        self.simulator, self.scene = simulator, scene
+        self.simulator, self.scene = simulator, checked_scene(scene)
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.kept = Kept(simulator.device)
         self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
@@ -76,8 +76,9 @@ class Program:
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
+        scene = self.scene if scene is SAME else checked_scene(scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
-        self.scene = self.scene if scene is SAME else scene
+        self.scene = scene
         self.simulator, self._exposure_time = simulator, seconds
         return self
 

@@ -5,9 +5,9 @@ from collections.abc import Generator, Iterable, Iterator
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import CPU, dlpack_kind, to_host
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.program.outputs import OUTPUTS
 
 SLOTS = 2  # one is computed from while the other is written
@@ -20,7 +20,9 @@ def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: i
         raise UnknownName("output", str(output), OUTPUTS)
     if first < 0:
         raise OutOfRange("first", first, "a frame number, 0 or more")
-    arriving, program = _arriving(simulator.device, iter(scenes)), None
+    if not isinstance(scenes, Iterable):
+        raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
+    arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
     try:
         for number, scene in enumerate(arriving, first):
             if program is None:

@@ -209,4 +209,10 @@ def test_refuses():
         next(simulator.stream(cubes(1), "film"))
     with pytest.raises(OutOfRange, match="first"):
         next(simulator.stream(cubes(1), first=-1))
+    with pytest.raises(BadData, match=r"wanted several, such as \[scene\]"):
+        next(simulator.stream(cubes(1)[0]))
+    for asked in (lambda: next(simulator.stream([3])), lambda: simulator.program(3),
+                  lambda: simulator.program(cubes(1)[0]).update(scene="a chart")):
+        with pytest.raises(BadData, match="wanted a Scene"):
+            asked()
     assert list(simulator.stream([])) == []
