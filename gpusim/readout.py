@@ -78,12 +78,12 @@ class Readout:
         exposure_time: [s]. scale: multiplies the mean [1]. Returns shape (rows, cols), layers one below the other,
         binned where charge is.
         """
-        sensor, chip = self.sensor, self.sensor.noise
+        sensor = self.sensor
         rows, cols = prod(mean.shape[:-1]), mean.shape[-1]
         mean = self.device.reshape(mean, (rows, cols))
         response, dark = self._response(rows, cols), self._dark(rows, cols)
         if response is not None or dark is not None or scale != 1:
-            mean = expect(mean, response, dark, scale=scale, dark_time=min(exposure_time * chip.warmth, MOST),
+            mean = expect(mean, response, dark, scale=scale, dark_time=self.dark_time(exposure_time),
                           device=self.device)
         return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
 
@@ -105,7 +105,7 @@ class Readout:
         response = self._response(rows, cols) if chip.dead_pixels else None
         if response is None and dark is None:
             return None
-        dark_time = min(exposure_time * chip.warmth, MOST)
+        dark_time = self.dark_time(exposure_time)
         return flag(response, dark, least=least / dark_time if dark_time else 0.0, binning=self.sensor.binning,
                     stride=self.stride, device=self.device)
 
@@ -161,7 +161,7 @@ class Readout:
         for number, time in enumerate(times):
             step = time - previous
             more = self.expected(mean, step, step / exposure_time)
-            more = noise(more, dark_electrons=self._dark_electrons(step), photon=chip.photon, read=number, **common)
+            more = noise(more, dark_electrons=self.dark_electrons(step), photon=chip.photon, read=number, **common)
             charge = np.minimum(charge + device.numpy(more), np.float32(sensor.full_well))
             if number == 0:
                 reset = np.zeros_like(charge)
@@ -222,13 +222,18 @@ class Readout:
             fixed = device.array(offset if fixed is None else offset + device.numpy(fixed))
         if chip.telegraph_pixels and chip.telegraph:
             amplitude = self._pattern("telegraph", rows, cols, share=chip.telegraph_pixels, scale=chip.telegraph)
-        return noise(expected, fixed, amplitude, dark_electrons=self._dark_electrons(exposure_time), read_noise=sigma,
+        return noise(expected, fixed, amplitude, dark_electrons=self.dark_electrons(exposure_time), read_noise=sigma,
                      row_noise=chip.row, column_noise=chip.column, telegraph_switching=chip.telegraph_switching,
                      full_well=sensor.full_well, gain=sensor.gain_dn_per_electron, black_level=sensor.dark_level,
                      white_level=None if sensor.bits == FLOAT_BITS else sensor.white_level, photon=photon, seed=seed,
                      frame=frame, frames=frames, read=read, device=device)
 
-    def _dark_electrons(self, exposure_time):
+    def dark_time(self, exposure_time: float) -> float:
+        """The time [s] in which dark current at the table's temperature would collect what it does in an exposure."""
+        return min(exposure_time * self.sensor.noise.warmth, MOST)
+
+    def dark_electrons(self, exposure_time: float) -> float:
+        """Mean dark charge that all of the output's pixels have in common [e-]."""
         noise_ = self.output.noise
         return min(noise_.dark_current * noise_.warmth * exposure_time, MOST)
 

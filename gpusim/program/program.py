@@ -12,6 +12,8 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.frame import Exposure, Frame
+from gpusim.kernels.sensor.expect import retime as reexpect
+from gpusim.kernels.sensor.expose import retime as reexpose
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
@@ -179,7 +181,8 @@ class Program:
         of = kept.one(rates[0]), One(plan)
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
-        mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds))
+        mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
+                    lambda tape: reexpose(tape, seconds))
         if plan.scene is not self.scene or self.meters_late:
             looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
             if not same(self._looked, looked):
@@ -272,8 +275,9 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
         simulator.camera, sensor=readout.operated(gain)))
-    of = kept.one(mean), seconds, readout.chip, sensor.cfa
-    expected = kept("expected", of, lambda: readout.expected(mean, seconds))
+    of = kept.one(mean), readout.chip, sensor.cfa, seconds
+    expected = kept("expected", of, lambda: readout.expected(mean, seconds),
+                    lambda tape: reexpect(tape, readout.dark_time(seconds)))
     gains = None
     if processor.shading:
         falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,

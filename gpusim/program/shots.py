@@ -36,10 +36,11 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        of = self._kept.one(exposure.expected), exposure.camera.sensor, readout.sensor, exposure.exposure_time
-        return self._kept("raw", (*of, (seed, frame)), lambda: readout.draw(
-            exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed, frame=frame),
-            lambda tape: redraw(tape, seed, frame))
+        seconds, expected = exposure.exposure_time, self._kept.one(exposure.expected)
+        of = expected, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
+        return self._kept("raw", of, lambda: readout.draw(
+            exposure.expected, seconds, gain=exposure.gain, seed=seed, frame=frame),
+            lambda tape: redraw(tape, seed, frame, readout.dark_electrons(seconds)))
 
     @property
     def developer(self) -> Developer:

@@ -39,6 +39,13 @@ def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
     return device.reshape(expected, tuple(mean.shape))
 
 
+def retime(tape, dark_time):
+    """Have a tape on which electrons were expected expect them of another dark time [s]."""
+    for command in tape.commands:
+        if command.stage == "sensor.expect":
+            command.set((*command.args[:-1], float(dark_time)))
+
+
 def cases():
     """With and without each plane, extreme means: bit for bit."""
     random = np.random.default_rng(5)

@@ -31,6 +31,13 @@ def expose(device, rates, cfa, exposure_time, slope):
     return mean
 
 
+def retime(tape, exposure_time):
+    """Have a tape on which mosaics were exposed expose them for another time [s]."""
+    for command in tape.commands:
+        if command.stage == "sensor.expose":
+            command.set((*command.args[:3], float(exposure_time), *command.args[4:]))
+
+
 def cases():
     """All Bayer phases, monochrome, an odd period, a field of 100 degrees."""
     random = np.random.default_rng(4)

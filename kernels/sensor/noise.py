@@ -30,6 +30,7 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
+DARK_AT = 9  # place of the dark electrons among the arguments
 MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
@@ -86,13 +87,16 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def redraw(tape, seed, frame):
-    """Have a tape on which one frame was drawn draw another one. Raises OutOfRange."""
+def redraw(tape, seed, frame, dark_electrons):
+    """Have a tape on which one frame was drawn draw another one, of another exposure. Raises OutOfRange."""
     check_drawn(seed, frame, None, 0)
     drawn = *_key(int(seed)), signed(int(frame))
     for command in tape.commands:
         if command.stage == "sensor.noise":
-            command.set((*command.args[:-4], *drawn, command.args[-1]))
+            args = [*command.args[:-4], *drawn, command.args[-1]]
+            if len(args) > DARK_AT + 6:  # not the lines' kernel
+                args[DARK_AT] = float(dark_electrons)
+            command.set(tuple(args))
 
 
 @functools.lru_cache(maxsize=64)
