@@ -131,6 +131,9 @@ class Shots:
         shown = f"{camera.display.name}, 8 bit" + (", with a tone curve" if camera.processor.tone else "")
         models = plan.models | simulator.readout.models() | self.developer.models() | {
             "processor.color": rendering.model, "display.encode": shown}
+        if "sensor.meter" in times:
+            models["sensor.meter"] = ("light looked at" if camera.sensor.exposure_time is not None else
+                                      f"automatic exposure, {camera.sensor.auto_exposure.method}")
         simulator.launched = merged(simulator.launched, times)
         order = merged(simulator.launched, models)  # with stages that had nothing to do
         stages = [StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
