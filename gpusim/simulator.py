@@ -78,9 +78,10 @@ class Simulator:
         other._connect(self.kept, self.launched)
         return other
 
-    def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Program:
+    def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
+                meters_late: bool = False) -> Program:
         """Frames of a scene, in which what a change does not touch is kept: see `Program`."""
-        return Program(self, scene, exposure_time, gain)
+        return Program(self, scene, exposure_time, gain, meters_late)
 
     def stream(self, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
                exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:

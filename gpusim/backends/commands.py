@@ -7,10 +7,14 @@ from gpusim.backends.device import Transfer
 
 
 class Command:
-    """A kernel of its own with its arguments. stage: that is charged. spare: where the kernel goes in the end."""
+    """A kernel of its own with its arguments.
 
-    def __init__(self, device, stage, kernel, pieces, args, spare):
-        self.device, self.stage, self.kernel, self.args, self.spare = device, stage, kernel, args, spare
+    stage: that is charged. name: of the kernel. spare: where the kernel goes in the end.
+    """
+
+    def __init__(self, device, stage, name, kernel, pieces, args, spare):
+        self.device, self.stage, self.name, self.kernel, self.args = device, stage, name, kernel, args
+        self.spare = spare
         self.pieces = [(size[::-1], block[::-1], offset[::-1] if any(offset) else None)
                        for size, block, offset in pieces]
         self.enqueue = device._cl.enqueue_nd_range_kernel
@@ -68,7 +72,7 @@ class Copy:
 
     def __init__(self, device, target, source, count, start, to):
         self.device, self.target, self.source, size = device, target, source, source.dtype.itemsize
-        self.stage = device._clock.charged or "copies"
+        self.stage, self.name = device._clock.charged or "copies", "copy"
         self.range = {"byte_count": count * size, "src_offset": start * size, "dst_offset": to * size}
 
     def start(self):

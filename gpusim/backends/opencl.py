@@ -197,7 +197,8 @@ class OpenCLDevice(Taped):
         except IndexError:
             with self._lock:
                 entry = self._cl.Kernel(self._program(stage, defines), kernel)
-        return Command(self, self._clock.charged or stage, entry, self._pieces(tuple(grid), group), args, spare)
+        pieces = self._pieces(tuple(grid), group)
+        return Command(self, self._clock.charged or stage, kernel, entry, pieces, args, spare)
 
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).

@@ -108,7 +108,8 @@ def noted(tape: Tape | None):
 class Taped(Device):
     """A device whose requests can be noted. A backend defines what is asked with a leading underscore.
 
-    Of a launch it makes a command: `set(args)` gives it other arguments of the same kinds, `start()` starts it.
+    Of a launch it makes a command: `set(args)` gives it other arguments of the same kinds, `start()` starts it; stage
+    and name are those of its kernel.
     """
 
     def array(self, values, dtype=np.float32):

@@ -79,10 +79,10 @@ def array_class(wp):
 
 
 class _Command:
-    """A launch with its arguments packed; stage: that is charged."""
+    """A launch with its arguments packed. stage: that is charged. name: of the kernel."""
 
-    def __init__(self, device, stage, launch, args):
-        self.device, self.stage, self.launch, self.args = device, stage, launch, args
+    def __init__(self, device, stage, name, launch, args):
+        self.device, self.stage, self.name, self.launch, self.args = device, stage, name, launch, args
 
     def set(self, args):
         for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
@@ -118,7 +118,7 @@ class _Copy:
     """A copy between two arrays in turn with the kernels."""
 
     def __init__(self, device, *what):
-        self.device, self.what, self.stage = device, what, device._clock.charged or "copies"
+        self.device, self.what, self.stage, self.name = device, what, device._clock.charged or "copies", "copy"
 
     def start(self):
         target, source, count, start, to = self.what
@@ -211,8 +211,7 @@ class WarpDevice(Taped):
         if self.on_host:
             return super().pinned(shape, dtype)
         kind = self._wp.dtype_from_numpy(np.dtype(dtype))
-        values = self._wp.empty(shape, dtype=kind, device="cpu", pinned=True).numpy().view(Pinned)
-        return values
+        return self._wp.empty(shape, dtype=kind, device="cpu", pinned=True).numpy().view(Pinned)
 
     def send(self, values, target=None, after=None):
         if self.on_host:
@@ -276,7 +275,7 @@ class WarpDevice(Taped):
     def _command(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)
         launch = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
-        return _Command(self, self._clock.charged or stage, launch, args)
+        return _Command(self, self._clock.charged or stage, kernel, launch, args)
 
     def _timed(self, stage, start):
         """Start something on the device, and time it where that is asked for."""

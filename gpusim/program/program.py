@@ -27,7 +27,7 @@ SAME = object()  # of `Program.update`: as it was
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Last:
+class _Result:
     """An exposure, and what it was made of.
 
     settings: of the program. stored: the scene's samples on the device, samples: these as parts of keys. planes: before
@@ -44,6 +44,22 @@ class _Last:
     exposure: Exposure | None
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Look:
+    """What the device saw of a scene by a plan, on its way to the host.
+
+    light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. shape: of the
+    electrons that were metered, of an exposure of so many seconds [s].
+    """
+
+    scene: Scene
+    plan: Plan
+    light: Any
+    survey: Any
+    shape: tuple
+    seconds: float
+
+
 class Program:
     """Frames of one scene by a Simulator, for previews and loops in which one thing changes at a time.
 
@@ -54,22 +70,21 @@ class Program:
     been written to. A program is used by one thread at a time.
     A scene that the plan was not made for is looked at on the device. What is found there is read before the next
     frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
-    kept: what its steps gave. meters_late: expose by what was metered in the frame before, as a camera's video does.
-    Then nothing waits for the device.
+    meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
+    device. kept: what its steps gave.
     """
 
-    meters_late = False
-
-    def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0):
-        self.simulator, self.scene = simulator, checked_scene(scene)
+    def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
+                 meters_late: bool = False):
+        self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.kept = Kept(simulator.device)
         self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
-        self._pending: tuple | None = None  # numbers of the last scene, on their way from the device
+        self._pending: _Look | None = None
         self._looked: tuple = ()
         self._metered: tuple[float, float] | None = None
         self._drift: float | None = None  # of the plan, in the last scene that was judged
-        self._last: _Last | None = None
+        self._last: _Result | None = None
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
@@ -128,23 +143,23 @@ class Program:
         made = None
         if last and settings[0] is last.settings[0] and self.plan is last.plan:
             if last.scene is self.scene and self._pending is None:
-                made = dataclasses.replace(last, exposure=self._finished(last))
+                made = dataclasses.replace(last, exposure=self._exposed_by(last))
             elif is_same:
-                made = self._refilled(last)
-        self._last = dataclasses.replace(made or self._made(), settings=settings)
+                made = self._again(last)
+        self._last = dataclasses.replace(made or self._anew(), settings=settings)
         return self._last.exposure
 
-    def _made(self):
+    def _anew(self):
         """An exposure by a plan that fits as far as is known."""
         while True:
             plan = self.plan
             stored, samples, planes = self._planes(plan)
             rates = self.kept("rates", (self.kept.one(planes), One(plan)),
-                               partial(self.simulator.imaging.rates, plan, planes))
+                              partial(self.simulator.imaging.rates, plan, planes))
             self.judge()  # not sooner: the device has work while the host waits
             if self._plan is not None:
-                made = _Last((), plan, self.scene, stored, samples, planes, rates, None)
-                return dataclasses.replace(made, exposure=self._finished(made))
+                made = _Result((), plan, self.scene, stored, samples, planes, rates, None)
+                return dataclasses.replace(made, exposure=self._exposed_by(made))
 
     def stored(self, plan):
         """The scene's samples on the device as a plan takes them, and these as parts of keys."""
@@ -159,7 +174,7 @@ class Program:
         planes = self.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(plan.table, stored))
         return stored, samples, planes
 
-    def _refilled(self, last):
+    def _again(self, last):
         """The last exposure, its arrays made anew for another scene by what ran for it; None where that is not all."""
         plan = last.plan
         if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
@@ -175,7 +190,7 @@ class Program:
             self._look(made, last.exposure.mean, last.exposure.exposure_time)
         return made
 
-    def _finished(self, made):
+    def _exposed_by(self, made):
         """The exposure of electrons per second."""
         simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
@@ -212,24 +227,24 @@ class Program:
             first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
             found = device.fetch(kept("survey", (made.samples, One(plan)), lambda: survey(
                 entries, table, first, ids, device=device)))
-        self._pending = self.scene, plan, device.fetch(light), found, mean.shape, seconds
+        self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
 
     def judge(self):
         """Wait for what the device saw of the last scene; drop the plan where it does not fit.
 
         Every frame does it for the one before. Raises BadData for light that is not finite.
         """
-        if self._pending is None:
+        look, self._pending = self._pending, None
+        if look is None:
             return
-        (scene, plan, light, found, shape, seconds), self._pending = self._pending, None
-        light = light()
+        light = look.light()
         if light[4]:
-            raise BadData(f"{scene.name}: {light[4]:.0f} of {prod(shape)} pixels have NaN or infinite light")
+            raise BadData(f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
-            self._metered = self.simulator.chosen(light, shape, seconds)
-        if plan.scene is not scene:
-            self._drift = plan.drift(None if found is None else found())
-            if not plan.fits(light, self._drift):
+            self._metered = self.simulator.chosen(light, look.shape, look.seconds)
+        if look.plan.scene is not look.scene:
+            self._drift = look.plan.drift(None if look.survey is None else look.survey())
+            if not look.plan.fits(light, self._drift):
                 self._plan = None
 
     @property

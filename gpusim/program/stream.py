@@ -26,8 +26,7 @@ def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: i
     try:
         for number, scene in enumerate(arriving, first):
             if program is None:
-                program = simulator.program(scene, exposure_time, gain)
-                program.meters_late = meters_late
+                program = simulator.program(scene, exposure_time, gain, meters_late)
             else:
                 program.update(scene=scene)
             yield program.output(output, seed=seed, frame=number)

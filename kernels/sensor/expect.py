@@ -42,7 +42,7 @@ def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
 def retime(tape, dark_time):
     """Have a tape on which electrons were expected expect them of another dark time [s]."""
     for command in tape.commands:
-        if command.stage == "sensor.expect":
+        if command.name == "expect":
             command.set((*command.args[:-1], float(dark_time)))
 
 

@@ -34,7 +34,7 @@ def expose(device, rates, cfa, exposure_time, slope):
 def retime(tape, exposure_time):
     """Have a tape on which mosaics were exposed expose them for another time [s]."""
     for command in tape.commands:
-        if command.stage == "sensor.expose":
+        if command.name == "expose":
             command.set((*command.args[:3], float(exposure_time), *command.args[4:]))
 
 

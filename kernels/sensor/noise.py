@@ -30,7 +30,7 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
-DARK_AT = 9  # place of the dark electrons among the arguments
+DARK_AT = 9  # place of the dark electrons among the arguments of the kernel `noise`
 MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
@@ -94,7 +94,7 @@ def redraw(tape, seed, frame, dark_electrons):
     for command in tape.commands:
         if command.stage == "sensor.noise":
             args = [*command.args[:-4], *drawn, command.args[-1]]
-            if len(args) > DARK_AT + 6:  # not the lines' kernel
+            if command.name == "noise":
                 args[DARK_AT] = float(dark_electrons)
             command.set(tuple(args))
 

@@ -6,9 +6,13 @@ from devices import KINDS
 
 from gpusim.backends.select import open_device
 from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
+from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.sensor.bin import bin as binned
 from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.expect import retime as expect_for
 from gpusim.kernels.sensor.expose import expose
+from gpusim.kernels.sensor.expose import retime as expose_for
+from gpusim.kernels.sensor.noise import noise, redraw
 from gpusim.kernels.spectral.integrate import integrate
 
 RANDOM = np.random.default_rng(3)
@@ -117,6 +121,41 @@ def test_large_constants_are_given_again(device):
             with noted(tape):
                 array = device.array(constant)
             assert values(device, array)[-1] == number
+
+
+def test_another_frame_is_drawn_by_the_launches_of_one(device):
+    """Seed, frame and dark electrons, with and without the kernel of row noise: bit for bit those of a new draw."""
+    expected = device.array(100 * RANDOM.random((34, 46), np.float32))
+    traps = device.array(RANDOM.random((34, 46), np.float32))
+    for lines in (0.0, 0.7):
+        sensor = {"read_noise": 2.0, "row_noise": lines, "full_well": 1e4, "gain": 0.5, "white_level": 1023,
+                  "telegraph_switching": 0.3, "device": device}
+        tape = Tape()
+        with noted(tape):
+            raw = noise(expected, traps, traps, dark_electrons=1.0, seed=1, frame=0, **sensor)
+        for seed, frame, dark in ((1, 1, 1.0), (2**64 - 3, 2**32 - 1, 30.0), (1, 1, 0.0)):
+            redraw(tape, seed, frame, dark)
+            tape.replay()
+            fresh = noise(expected, traps, traps, dark_electrons=dark, seed=seed, frame=frame, **sensor)
+            np.testing.assert_array_equal(values(device, raw), values(device, fresh))
+        with pytest.raises(OutOfRange, match="frame"):
+            redraw(tape, 1, 2**32, 0.0)
+
+
+def test_another_time_is_set_in_the_launches_of_one(device):
+    rates, dark, tapes = cube(device, (3, 34, 46)), device.array(RANDOM.random((34, 46), np.float32)), (Tape(), Tape())
+    with noted(tapes[0]):
+        mean = expose(rates, BAYER, 0.1, 1e-3, device=device)
+    with noted(tapes[1]):
+        expected = expect(mean, None, dark, dark_time=0.1, device=device)
+    expose_for(tapes[0], 0.7)
+    expect_for(tapes[1], 2.5)
+    for tape in tapes:
+        tape.replay()
+    fresh = expose(rates, BAYER, 0.7, 1e-3, device=device)
+    np.testing.assert_array_equal(values(device, mean), values(device, fresh))
+    np.testing.assert_array_equal(values(device, expected),
+                                  values(device, expect(fresh, None, dark, dark_time=2.5, device=device)))
 
 
 def test_results_on_a_tape_of_ones_own_are_kept(device):
