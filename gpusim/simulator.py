@@ -24,6 +24,7 @@ from gpusim.kernels.sensor.shutter import shutter
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import BORDER_REACH, Plan, plan
 from gpusim.planner.shutter import shutter_weights
+from gpusim.program.batch import Batch
 from gpusim.program.imaging import Imaging
 from gpusim.program.kept import Kept
 from gpusim.program.program import Program, exposed
@@ -62,21 +63,35 @@ class Simulator:
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":
             raise OutOfRange("tolerance rms", self.tolerance.rms, "rms >= 1e-6 in float32; below it use device numpy")
         self._drawing = OwnTape()
-        self._connect(Kept(), [])
+        self._connect(Kept(), Kept(), [])
 
-    def _connect(self, kept, launched):
-        """kept: tables of the last frames, for those of the same kind. launched: names of stages in their order."""
-        self.kept, self.launched = kept, launched
+    def _connect(self, kept, tables, launched):
+        """kept: what depends on the camera. tables: of its lens, and patterns of its chip, for frames of the same kind.
+
+        launched: names of stages in their order.
+        """
+        self.kept, self.tables, self.launched = kept, tables, launched
         sensor = self.camera.sensor
-        self.readout = kept("readout", sensor, lambda: Readout(sensor, self.device, kept))
-        self.imaging = Imaging(self.camera, self.device, kept)
+        self.readout = kept("readout", sensor, lambda: Readout(sensor, self.device, tables))
+        self.imaging = Imaging(self.camera, self.device, tables)
 
     def update(self, camera: Camera) -> "Simulator":
         """The same with another camera, for which what does not change is kept. Raises as the class does."""
         other = copy(self)
         other.camera = camera
-        other._connect(self.kept, self.launched)
+        other._connect(self.kept, self.tables, self.launched)
         return other
+
+    def apart(self, camera: Camera, tables: Kept) -> "Simulator":
+        """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
+        other = copy(self)
+        other.camera = camera
+        other._connect(Kept(), tables, self.launched)
+        return other
+
+    def batch(self, count: int, output: str = "codes") -> Batch:
+        """Frames of several scenes, or of several settings, in one array: see `gpusim.program.batch.Batch`."""
+        return Batch(self, count, output)
 
     def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
                 meters_late: bool = False) -> Program:

@@ -1,5 +1,6 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
+import ctypes
 import functools
 import os
 import shutil
@@ -83,6 +84,16 @@ class _Command:
 
     def __init__(self, device, stage, name, launch, args):
         self.device, self.stage, self.name, self.launch, self.args = device, stage, name, launch, args
+        for index in range(len(args)):
+            self._own(index + 1)
+
+    def _own(self, place):
+        """Pack an array for this launch alone: Warp packs it once for all launches, and `set` writes there."""
+        params, addresses = self.launch.params, self.launch.params_addr
+        if isinstance(params[place], ctypes.Structure):
+            params[place] = type(params[place]).from_buffer_copy(params[place])
+            if addresses:
+                addresses[place] = ctypes.c_void_p(ctypes.addressof(params[place]))
 
     def set(self, args):
         for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
@@ -95,6 +106,7 @@ class _Command:
                 packed.data = new.ptr  # all that is other; packing an array anew takes 10 us
             else:
                 self.launch.set_param_at_index(index, new)
+                self._own(index + 1)
         self.args = args
 
     def start(self):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import floor, prod
+from numbers import Real
 
 import numpy as np
 
@@ -29,14 +30,14 @@ def exposure_time(value, f_number):
 
 def checked_time(time: float | None) -> float | None:
     """Return an exposure time [s], or None for the camera's own, as it is. Raises OutOfRange."""
-    if time is not None and not 0 < time <= LONGEST:
+    if time is not None and not (isinstance(time, Real) and 0 < time <= LONGEST):
         raise OutOfRange("exposure_time", f"{time} s", f"0 < exposure_time <= {LONGEST:g} s")
     return time
 
 
 def checked_gain(gain: float) -> float:
     """Return an analog gain beside the sensor's [1] as it is. Raises OutOfRange."""
-    if not 0 < gain <= MOST_GAIN:
+    if not (isinstance(gain, Real) and 0 < gain <= MOST_GAIN):
         raise OutOfRange("gain", gain, f"0 < gain <= {MOST_GAIN:g}")
     return gain
 

@@ -34,6 +34,12 @@ class Kept:
         self._owners: dict[int, tuple[str, int]] = {}  # of arrays that are written again, by id: step and version
         self._versions = itertools.count(1)
 
+    def beside(self) -> "Kept":
+        """Another one, in whose keys arrays of this one are known; both end together."""
+        other = Kept(self._device)
+        other._owners, other._versions = self._owners, self._versions
+        return other
+
     def one(self, value) -> One:
         """The value as part of a key: the same until the step that made it writes to it again."""
         return One(value, self._owners.get(id(value), ("", 0))[1])

@@ -60,6 +60,14 @@ class _Look:
     seconds: float
 
 
+class Before:
+    """What programs have in common before their exposures: a plan, and what its steps gave."""
+
+    def __init__(self, device):
+        self.kept = Kept(device)
+        self.plan: tuple[Plan, tuple] | None = None  # and what it was planned by
+
+
 class Program:
     """Frames of one scene by a Simulator, for previews and loops in which one thing changes at a time.
 
@@ -71,15 +79,16 @@ class Program:
     A scene that the plan was not made for is looked at on the device. What is found there is read before the next
     frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
     meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
-    device. kept: what its steps gave.
+    device. before: of other programs that are used in turn with this one, their cameras planned alike.
+    kept: what its own steps gave.
     """
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-                 meters_late: bool = False):
+                 meters_late: bool = False, before: Before | None = None):
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
-        self.kept = Kept(simulator.device)
-        self._plan: tuple[Plan, tuple] | None = None  # and what it was planned by
+        self.before = Before(simulator.device) if before is None else before
+        self.kept = self.before.kept if before is None else before.kept.beside()
         self._pending: _Look | None = None
         self._looked: tuple = ()
         self._metered: tuple[float, float] | None = None
@@ -106,12 +115,12 @@ class Program:
         It is made anew for another kind of scene, and for a camera that asks for it. Other scenes of the same kind are
         framed by the plan that is there: see `Plan.serves`.
         """
-        by, scene = self.simulator.planned_by, self.scene
-        if self._plan is None or not same(self._plan[1], by) or not (
-                self._plan[0].scene is scene or self._plan[0].serves(scene)):
-            facts = self.kept("facts", One(scene), self._facts)
-            self._plan = self.simulator.plan(scene, facts), by
-        return self._plan[0]
+        by, scene, before = self.simulator.planned_by, self.scene, self.before
+        if before.plan is None or not same(before.plan[1], by) or not (
+                before.plan[0].scene is scene or before.plan[0].serves(scene)):
+            facts = before.kept("facts", One(scene), self._facts)
+            before.plan = self.simulator.plan(scene, facts), by
+        return before.plan[0]
 
     def _facts(self):
         """Facts of the scene, whose samples the host reads for them."""
@@ -136,16 +145,12 @@ class Program:
         """The exposure without its times."""
         last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
         is_same = last is not None and all(own is its for own, its in zip(last.settings, settings, strict=True))
-        if is_same and last.scene is self.scene and self._pending is None and self._plan and (
-                self._plan[0] is last.plan):
+        if is_same and last.scene is self.scene and self._pending is None and self.before.plan and (
+                self.before.plan[0] is last.plan):
             return last.exposure
         self._last = None  # its arrays are written to from here on
-        made = None
-        if last and settings[0] is last.settings[0] and self.plan is last.plan:
-            if last.scene is self.scene and self._pending is None:
-                made = dataclasses.replace(last, exposure=self._exposed_by(last))
-            elif is_same:
-                made = self._again(last)
+        made = self._again(last, is_same) if last and settings[0] is last.settings[0] and (
+            self.plan is last.plan) else None
         self._last = dataclasses.replace(made or self._anew(), settings=settings)
         return self._last.exposure
 
@@ -154,10 +159,9 @@ class Program:
         while True:
             plan = self.plan
             stored, samples, planes = self._planes(plan)
-            rates = self.kept("rates", (self.kept.one(planes), One(plan)),
-                              partial(self.simulator.imaging.rates, plan, planes))
+            rates = self._rates(plan, planes)
             self.judge()  # not sooner: the device has work while the host waits
-            if self._plan is not None:
+            if self.before.plan is not None:
                 made = _Result((), plan, self.scene, stored, samples, planes, rates, None)
                 return dataclasses.replace(made, exposure=self._exposed_by(made))
 
@@ -165,25 +169,37 @@ class Program:
         """The scene's samples on the device as a plan takes them, and these as parts of keys."""
         imaging, content = self.simulator.imaging, self._content(plan)
         window = imaging.window(plan)
-        stored = self.kept("content", (One(content), window), lambda: imaging.stored(content, window))
-        return stored, [self.kept.one(part) for part in stored]
+        kept = self.before.kept
+        stored = kept("content", (One(content), window), lambda: imaging.stored(content, window))
+        return stored, [kept.one(part) for part in stored]
 
     def _planes(self, plan):
         """The same, and the planes before the blur."""
         stored, samples = self.stored(plan)
-        planes = self.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(plan.table, stored))
+        planes = self.before.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(
+            plan.table, stored))
         return stored, samples, planes
 
-    def _again(self, last):
-        """The last exposure, its arrays made anew for another scene by what ran for it; None where that is not all."""
+    def _rates(self, plan, planes):
+        """Electrons per second, with their mosaic."""
+        kept = self.before.kept
+        return kept("rates", (kept.one(planes), One(plan)), partial(self.simulator.imaging.rates, plan, planes))
+
+    def _again(self, last, is_same):
+        """The last exposure, its arrays made anew by what ran for it; None where that is not all.
+
+        is_same: whether all but the scene is as it was.
+        """
         plan = last.plan
-        if self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None:
-            return None  # it is metered
         stored, samples, planes = self._planes(plan)
-        if planes is not last.planes or not self.kept.refill("rates"):
+        if planes is not last.planes or self._rates(plan, planes) is not last.rates:
             return None
+        if last.scene is self.scene and self._pending is None:
+            return dataclasses.replace(last, exposure=self._exposed_by(last))
+        if not is_same or (self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None):
+            return None  # it may be metered
         self.judge()
-        if self._plan is None or not self.kept.refill("mean", "expected"):
+        if self.before.plan is None or not self.kept.refill("mean", "expected"):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
@@ -194,7 +210,7 @@ class Program:
         """The exposure of electrons per second."""
         simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
+        seconds, gain = self._operated(of, lambda: self.before.kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
                     lambda tape: reexpose(tape, seconds))
@@ -225,7 +241,7 @@ class Program:
         light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
         if plan.watch is not None and plan.scene is not self.scene:
             first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
-            found = device.fetch(kept("survey", (made.samples, One(plan)), lambda: survey(
+            found = device.fetch(self.before.kept("survey", (made.samples, One(plan)), lambda: survey(
                 entries, table, first, ids, device=device)))
         self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
 
@@ -245,7 +261,7 @@ class Program:
         if look.plan.scene is not look.scene:
             self._drift = look.plan.drift(None if look.survey is None else look.survey())
             if not look.plan.fits(light, self._drift):
-                self._plan = None
+                self.before.plan = None
 
     @property
     def shots(self) -> Shots:
@@ -275,7 +291,7 @@ class Program:
         """One picture with its report, by a plan that fits its scene."""
         exposure = self.exposure
         self.judge()
-        if self._plan is None:
+        if self.before.plan is None:
             exposure = self.exposure
         if exposure.plan.scene is not self.scene:
             exposure = dataclasses.replace(exposure, plan=exposure.plan.of(self.scene, self._drift))

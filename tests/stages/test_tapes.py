@@ -55,6 +55,24 @@ def test_made_again_is_made_anew(device):
         np.testing.assert_array_equal(found, values(device, chain(device, *made)))
 
 
+def test_tapes_that_share_an_array_keep_it_apart(device):
+    """One of them goes on to another array; the other, and a launch on no tape, still read the first."""
+    shared, other = cube(device, (1, 12, 18)), cube(device, (1, 12, 18))
+    tapes = Tape(), Tape()
+
+    def found(tape, array):
+        with noted(tape):
+            return values_after(device, lambda: expose(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device))
+
+    first, _ = (found(tape, shared) for tape in tapes)
+    second = found(tapes[0], other)
+    assert (first != second).all()
+    np.testing.assert_array_equal(found(tapes[1], shared), first)
+    tapes[1].replay()
+    np.testing.assert_array_equal(found(None, shared), first)
+    np.testing.assert_array_equal(values(device, shared)[0] * np.float32(0.5), first)
+
+
 def values_after(device, make):
     """What a computation gives, read outside of its tape."""
     array = make()

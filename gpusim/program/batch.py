@@ -1,0 +1,103 @@
+"""Several frames at once in one array: of several scenes, or of one by several settings."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
+from gpusim.domain.scene import Scene, checked_scene
+from gpusim.program.kept import Kept, same
+from gpusim.program.outputs import OUTPUTS
+from gpusim.program.program import Before, Program
+
+
+class Batch:
+    """`count` frames a call in one array of the device, by a Simulator.
+
+    output: a name of `gpusim.program.outputs.OUTPUTS`. Every item is the frame that a `Program` gives: what was
+    computed for one call serves the next; what items have in common, such as a scene and its blur, is computed once.
+    Scenes that the plan was not made for are looked at on the device, and judged before the next call.
+    """
+
+    def __init__(self, simulator, count: int, output: str = "codes"):
+        if output not in OUTPUTS:
+            raise UnknownName("output", str(output), OUTPUTS)
+        if not isinstance(count, int | np.integer) or count < 1:
+            raise OutOfRange("count of a batch", count, "a whole number, count >= 1")
+        self.count, self.output = int(count), output
+        self._simulator, self._kept = simulator, Kept(simulator.device)
+        self._items: list[Program | None] = [None] * self.count
+
+    def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0, frame=0):
+        """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.
+
+        scenes: one for all, or one for each item. camera: the simulator's if None. exposure_time, gain: as for
+        `Simulator.expose`. seed: of the noise. frame: number of the first item's, the others count on. Each of them may
+        be one for every item too. Automatic exposure meters every item's own light, and waits for it.
+        Raises as `Simulator.frames` does, and BadData for items of unlike shapes and for numbers of values that are not
+        those of the items.
+        """
+        given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
+                 "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
+        values = {name: self._each(name, value) for name, value in given.items()}
+        if not isinstance(frame, Iterable):
+            values["frame"] = [frame + item for item in range(self.count)]
+        sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
+        if len(sizes) > 1:
+            raise BadData("batch: scenes of " + ", ".join(f"{cols}x{rows}" for rows, cols in sorted(sizes)) +
+                          " pixels; wanted one size")
+        programs, frames = [], []
+        for item, (scene, camera, seconds, gain, seed, frame) in enumerate(zip(*values.values(), strict=True)):
+            programs.append(self._program(item, scene, camera).update(scene=scene, exposure_time=seconds, gain=gain))
+            if not item:
+                self._require_memory(programs[0].plan)
+            frames.append(programs[item].output(self.output, seed=seed, frame=frame))
+        shapes = {tuple(array.shape) for array in frames}
+        if len(shapes) > 1:
+            raise BadData(f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
+                          "frames have one shape")
+        of = [program.kept.one(array) for program, array in zip(programs, frames, strict=True)]
+        return self._kept("frames", of, lambda: self._simulator.device.stack(frames))
+
+    def judge(self):
+        """Wait for what the device saw of the scenes: see `Program.judge`. Every call does it for the one before."""
+        for program in self._items:
+            if program is not None:
+                program.judge()
+
+    def _each(self, name, value):
+        """A value for every item."""
+        if not isinstance(value, Iterable) or isinstance(value, str):
+            return [value] * self.count
+        values = list(value)
+        if len(values) != self.count:
+            raise BadData(f"batch: {len(values)} of {name}, wanted one for all items or {self.count} of them")
+        return values
+
+    def _program(self, item, scene, camera):
+        """The program of an item, which shares with the others what their plans have in common."""
+        program = self._items[item]
+        if program is not None and program.simulator.camera is camera:
+            return program
+        by = self._simulator.update(camera).planned_by
+        if program is not None and same(program.simulator.planned_by, by):
+            return program.update(camera=camera)
+        in_use = [other for other in self._items if other is not None and other is not program]
+        alike = next((other for other in in_use if same(other.simulator.planned_by, by)), None)
+        simulator = self._simulator.apart(camera, Kept() if alike is None and in_use else (
+            alike.simulator if alike else self._simulator).tables)
+        program = self._items[item] = Program(simulator, scene, before=Before(simulator.device) if alike is None else
+                                              alike.before)
+        return program
+
+    def _require_memory(self, plan):
+        """Raise DoesNotFit where the items' arrays do not fit beside what one frame takes."""
+        (rows, cols), channels, device = plan.scene.shape, len(plan.weights), self._simulator.device
+        layers = channels if plan.camera.sensor.stacked else 1
+        developed = {"camera": 8 * channels, "linear": 4 * channels + 24, "xyz": 4 * channels + 36,
+                     "codes": 4 * channels + 18}
+        a_pixel = 8 * len(plan.scene.wavelengths) if self.output == "irradiance" else 8 * channels if (
+            self.output == "electrons") else 14 * layers + developed.get(self.output, 0)
+        needed = plan.bytes_needed + self.count * rows * cols * a_pixel
+        if needed > device.memory:
+            raise DoesNotFit(f"a batch of {self.count} frames of {cols}x{rows}", needed, device.memory, device.name)

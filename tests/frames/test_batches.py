@@ -1,0 +1,153 @@
+"""Items of a batch are the frames of programs of their own; what they have in common is computed once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import ALL_KINDS, KINDS
+
+import gpusim as gs
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
+from gpusim.program.host import undeclared
+
+SIZE, COUNT = (96, 64), 3
+CAMERA = gs.open_camera("phone")
+
+
+def camera_with(base=CAMERA, **parts):
+    """A camera whose parts have other settings, `noise` that of its sensor."""
+    for part, settings in parts.items():
+        if part == "noise":
+            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
+        else:
+            base = replace(base, **{part: replace(getattr(base, part), **settings)})
+    return base
+
+
+def cubes(count=COUNT, size=SIZE):
+    picture = gs.chart("deadleaves", size=size)
+    bands = picture.content.bands_at(slice(None)).astype(np.float32)
+    return [replace(picture, content=gs.Cube(picture.wavelengths, bands * np.float32(1 + 0.1 * k)), name=f"leaves {k}")
+            for k in range(count)]
+
+
+def host(device, array):
+    return np.array(device.numpy(array))
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("output", ["irradiance", "electrons", "mean", "raw", "linear", "codes"])
+def test_items_of_several_scenes(device, output):
+    """Cubes in a known light have one operator, so that every scene's own plan is the batch's."""
+    simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes()
+    batch = simulator.batch(COUNT, output)
+    for first in (0, 5, 9):
+        order = scenes[first % 2:] + scenes[:first % 2]
+        found = host(simulator.device, batch(order, seed=3, frame=first, exposure_time=0.01))
+        for item, scene in enumerate(order):
+            own = simulator.program(scene, 0.01).output(output, seed=3, frame=first + item)
+            np.testing.assert_array_equal(found[item], host(simulator.device, own))
+
+
+CAMERAS = {
+    "noise": [camera_with(noise={"read": read, "prnu": 0.01, "seed": chip}) for read, chip in ((1, 0), (9, 0), (1, 3))],
+    "white point": [camera_with(processor={"white_balance": way}) for way in ("illuminant", "gray-world", "none")],
+    "lens": [camera_with(optics={"f_number": n}) for n in (2.0, 4.0, 2.0)],
+    "pixels": [camera_with(sensor={"binning": (2, 2), "binning_mode": mode}) for mode in (
+        "charge", "digital", "charge")],
+    "tone": [camera_with(processor={"tone": ((0, 0), (0.4, top), (1, 1))}) for top in (0.4, 0.5, 0.6)],
+}
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("what", CAMERAS)
+def test_items_of_several_settings(device, what):
+    """Of scenes that change between the calls, and of settings that go to other items."""
+    cameras, scenes = CAMERAS[what], cubes(2)
+    count = len(cameras)
+    simulator = gs.Simulator(CAMERA, device=device, tolerance=4e-4)
+    batch = simulator.batch(count, "codes")
+    times, gains, seeds = [0.01, 0.03, 0.005][:count], [1.0, 1.0, 2.0][:count], [4, 4, 7][:count]
+    for turn, scene in enumerate([scenes[0], scenes[1], scenes[1], scenes[0]]):
+        found = host(simulator.device, batch(scene, camera=cameras, exposure_time=times, gain=gains, seed=seeds,
+                                             frame=[turn] * count))
+        for item, camera in enumerate(cameras):
+            own = gs.Simulator(camera, device=device, tolerance=4e-4).program(scene, times[item], gains[item])
+            np.testing.assert_array_equal(found[item], host(own.simulator.device,
+                                                            own.codes(seed=seeds[item], frame=turn)))
+        if turn == 2:
+            cameras, times = cameras[::-1], times[::-1]
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_every_item_is_exposed_by_its_own_light(device):
+    simulator, scenes = gs.Simulator(CAMERA, device=device), cubes()
+    assert CAMERA.sensor.exposure_time is None
+    found = host(simulator.device, simulator.batch(COUNT, "raw")(scenes, seed=2, frame=[0, 1, 2]))
+    for item, scene in enumerate(scenes):
+        np.testing.assert_array_equal(found[item], simulator(scene, seed=2, frame=item).raw)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_common_steps_run_once_and_the_host_reads_nothing(device):
+    simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes(4)
+    batch = simulator.batch(4, "codes")
+    seconds = [0.01, 0.02, 0.03, 0.04]
+    for scene in scenes:
+        batch(scene, exposure_time=seconds)
+
+    def times(what):
+        with simulator.device.timed() as ms:
+            batch(what, exposure_time=seconds, seed=9)
+        return ms
+
+    anew = times(replace(scenes[0], name="again"))
+    assert {"spectral.integrate", "optics.mosaic", "sensor.noise"} <= {*anew}
+    drawn = times(batch._items[0].scene)
+    assert "sensor.noise" in drawn
+    assert not {"spectral.integrate", "optics.mosaic", "sensor.collect"} & {*drawn}
+    is_gpu = simulator.device.is_gpu
+    for kept in (batch._kept, *(program.kept for program in batch._items), batch._items[0].before.kept):
+        assert undeclared(kept.on_host(), is_gpu) == []
+    assert len({id(program.before) for program in batch._items}) == 1
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_light_that_is_not_finite_is_named(device):
+    simulator, scenes = gs.Simulator(CAMERA, device=device), cubes()
+    values = scenes[1].content.values.view(gs.domain.memory.Pinned)
+    values[3, 20, 30] = np.nan
+    scenes[1] = replace(scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second")
+    batch = simulator.batch(COUNT, "raw")
+    batch(scenes, exposure_time=0.01)
+    with pytest.raises(BadData, match=r"the second: .* NaN or infinite light"):
+        batch.judge()
+    good = batch(cubes(), exposure_time=0.01, seed=1)
+    own = simulator.program(cubes()[0], 0.01).raw(seed=1)
+    np.testing.assert_array_equal(host(simulator.device, good)[0], host(simulator.device, own))
+
+
+def test_refuses(monkeypatch):
+    simulator, scenes = gs.Simulator(CAMERA, device="numpy"), cubes()
+    with pytest.raises(UnknownName, match="output"):
+        simulator.batch(2, "film")
+    for count in (0, -1, 2.5, "3"):
+        with pytest.raises(OutOfRange, match="count of a batch"):
+            simulator.batch(count)
+    batch = simulator.batch(COUNT, "raw")
+    with pytest.raises(BadData, match="2 of scenes, wanted one for all items or 3"):
+        batch(scenes[:2])
+    with pytest.raises(BadData, match="2 of seed, wanted one"):
+        batch(scenes, seed=[1, 2])
+    with pytest.raises(OutOfRange, match="exposure_time = long s"):
+        batch(scenes, exposure_time=["long"] * COUNT)
+    with pytest.raises(BadData, match="wanted a Scene"):
+        batch([1, 2, 3])
+    with pytest.raises(BadData, match="scenes of 60x40, 96x64 pixels; wanted one size"):
+        batch([*scenes[:2], *cubes(1, (60, 40))])
+    binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
+    with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
+        batch(scenes, camera=[CAMERA, binned, CAMERA], exposure_time=0.01)
+    monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed * 4 + 1000)
+    with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
+        simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)
