@@ -22,7 +22,13 @@ from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
+from gpusim.planner.geometry import (
+    DistortionGrid,
+    distortion_grid,
+    microlens_gain,
+    relative_illumination,
+    vignetting_gain,
+)
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.sampling import (
     AREA,
@@ -68,8 +74,8 @@ class Plan:
     varying: what the blur has more than that on the axis, where it varies over the field; else None. The planes are
         then each one channel's, and transfers has the shape (1, planes, L).
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
-    warp: where the lens puts the samples, None: where a pinhole would. gain: of every pixel, shape (rows, cols), where
-        it is more than the cos^4 law of a grid of pixels in the middle.
+    distortion: where the lens puts the samples, None: where a pinhole would.
+    gain: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
     folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
@@ -95,7 +101,7 @@ class Plan:
     highlights: Highlights | None
     varying: FieldBlur | None
     depth: DepthPlan | None
-    warp: WarpGrid | None
+    distortion: DistortionGrid | None
     gain: np.ndarray | None
     folded: bool
     fft_free: bool
@@ -322,11 +328,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         models["optics.splat"] = f"{len(highlights.places)} highlights added exactly, each with its own spectrum"
         if highlights.residue:
             predicted["local error beside further highlights"] = highlights.residue
-    warp = None
+    distortion = None
     if optics.distortion is not None:
         seen = scene.samples if gains is None else (rows, cols)
-        warp = warp_grid(optics.distortion, seen, sensor.pixel_pitch / ratio, (rows, cols))
-        models["optics.warp"] = f"distortion: {warp.report}"
+        distortion = distortion_grid(optics.distortion, seen, sensor.pixel_pitch / ratio, (rows, cols))
+        models["optics.distort"] = f"distortion: {distortion.report}"
     slope, falloffs = 0.0, {}
     if optics.relative_illumination == "cos4":
         slope = (2 * np.tan(scene.fov / 2) * ratio / scene.samples[1] if scene.fov
@@ -375,8 +381,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
     return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
-                by_depth, warp, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, watch, limit,
-                models, left_out, predicted, not_met)
+                by_depth, distortion, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, watch,
+                limit, models, left_out, predicted, not_met)
 
 
 def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, level):

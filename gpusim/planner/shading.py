@@ -20,8 +20,8 @@ def relative_response(made: Plan) -> np.ndarray:
         response *= relative_illumination("cos4", made.scene.shape, made.slope, 1.0)
     if made.gain is not None:
         response *= made.gain
-    if made.warp is not None:
-        flux = made.warp.nodes[..., 2]
+    if made.distortion is not None:
+        flux = made.distortion.nodes[..., 2]
         along_y, along_x = map(_cubics, flux.shape, made.scene.shape)
         response *= along_y @ flux @ along_x.T
     return response
@@ -102,7 +102,7 @@ def _at(values, places, pixels):
 
 
 def _cubics(count, pixels):
-    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.warp`, shape (pixels, count)."""
+    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.distort`, shape (pixels, count)."""
     place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
     first = np.clip(place.astype(int) - 1, 0, count - 4)
     weights = np.zeros((pixels, count))

@@ -10,13 +10,13 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
-from gpusim.kernels.optics.warp import warp
 from gpusim.kernels.sensor.expose import expose
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
@@ -39,22 +39,22 @@ class Imaging:
     def light(self, made: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
         table = None if made.content.is_spectral else made.content.entry_spectra.T
-        return self._warped(made, self.planes(table, self.stored(made.content)))
+        return self._distorted(made, self.planes(table, self.stored(made.content)))
 
-    def _warped(self, made: Plan, planes):
+    def _distorted(self, made: Plan, planes):
         """Planes as the distortion puts them."""
-        if made.warp is None:
+        if made.distortion is None:
             return planes
         shape = made.scene.samples if made.gains is None else planes.shape[1:]
         border = "edge" if made.scene.border == "scene" else made.scene.border
-        return warp(planes, made.warp.nodes[None].astype(np.float32), shape, border, made.warp.method,
-                    device=self.device)
+        return distort(planes, made.distortion.nodes[None].astype(np.float32), shape, border, made.distortion.method,
+                       device=self.device)
 
     def window(self, made: Plan):
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
         margin = made.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
+        inside = slice(margin, -margin or None) if made.gains is None and made.distortion is None else slice(None)
         return inside, inside
 
     def stored(self, content, window=WHOLE):
@@ -103,7 +103,7 @@ class Imaging:
         """
         planes, margin = self._before(made, planes), made.scene.margin
         if made.gains is None:
-            if margin and made.warp is None and tuple(planes.shape[1:]) != made.scene.samples:
+            if margin and made.distortion is None and tuple(planes.shape[1:]) != made.scene.samples:
                 planes = self._inside(planes, margin)
             return self.pixels(made, planes)
         channels = self._blurred(made, planes)
@@ -134,7 +134,7 @@ class Imaging:
         """Planes before the blur where the lens puts them."""
         if planes is None:
             planes = self.planes(made.table, self.stored(made.content, self.window(made)))
-        return self._warped(made, planes)
+        return self._distorted(made, planes)
 
     def _blurred(self, made, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""

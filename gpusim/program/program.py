@@ -295,8 +295,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
                     lambda tape: reexpect(tape, readout.dark_time(seconds)))
     gains = None
     if processor.shading:
-        falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,
-                 sensor.binning, sensor.binning_mode)
+        nodes = None if plan.distortion is None else plan.distortion.nodes
+        falls = (plan.scene.shape, plan.slope, plan.gain, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
         gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
     operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
