@@ -125,6 +125,6 @@ def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarr
                 # light at s gives its kernel's entry x - s
                 total += np.einsum("nij,nij,i,j->", patch, kernels[:, ::-1, ::-1], along_y, along_x, optimize=True)
         v, u = (y - (rows - 1) / 2) * made.slope, (x - (cols - 1) / 2) * made.slope
-        falloff = (1 + u * u + v * v) ** -2 * (1.0 if made.gain is None else made.gain[y, x])
+        falloff = (1 + u * u + v * v) ** -2 * (1.0 if made.falloff is None else made.falloff[y, x])
         out[k] = base[y, x] + exposure_time * falloff * total
     return out

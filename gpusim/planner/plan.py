@@ -75,7 +75,7 @@ class Plan:
         then each one channel's, and transfers has the shape (1, planes, L).
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
     distortion: where the lens puts the samples, None: where a pinhole would.
-    gain: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
+    falloff: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
     folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
@@ -102,7 +102,7 @@ class Plan:
     varying: FieldBlur | None
     depth: DepthPlan | None
     distortion: DistortionGrid | None
-    gain: np.ndarray | None
+    falloff: np.ndarray | None
     folded: bool
     fft_free: bool
     taps: tuple[Taps, Taps] | None
@@ -351,9 +351,9 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                                                  optics.image_distance, displacement)
     if sensor.vignetting is not None:
         falloffs["pixel vignetting"] = vignetting_gain(sensor.vignetting, scene.shape, displacement)
-    gain = np.prod(list(falloffs.values()), axis=0) if falloffs else None
+    falloff = np.prod(list(falloffs.values()), axis=0) if falloffs else None
     if falloffs:
-        models["optics.gain"] = " and ".join(falloffs)
+        models["optics.falloff"] = " and ".join(falloffs)
     layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
     models["sensor.expose"] = f"{'cos^4, ' if slope else ''}{layout}"
     if gains is not None:
@@ -381,8 +381,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
     return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
-                by_depth, distortion, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, watch,
-                limit, models, left_out, predicted, not_met)
+                by_depth, distortion, falloff, folded, fft_free, taps, spare, q, own_period, float(slope), needed,
+                watch, limit, models, left_out, predicted, not_met)
 
 
 def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, level):

@@ -18,8 +18,8 @@ def relative_response(made: Plan) -> np.ndarray:
     response = np.ones(made.scene.shape)
     if made.slope:
         response *= relative_illumination("cos4", made.scene.shape, made.slope, 1.0)
-    if made.gain is not None:
-        response *= made.gain
+    if made.falloff is not None:
+        response *= made.falloff
     if made.distortion is not None:
         flux = made.distortion.nodes[..., 2]
         along_y, along_x = map(_cubics, flux.shape, made.scene.shape)

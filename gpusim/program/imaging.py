@@ -11,8 +11,8 @@ from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.field import field, transfer
-from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
@@ -174,7 +174,7 @@ class Imaging:
             for kernel, share in depth.shares(coverage, confusion):
                 bands = self.tables.all_bands(made, depth.distances[kernel])
                 share = device.array(share[None])
-                light = blur(gain(own, share, device=device), self.tables.combined(made, bands), made.gains, border,
+                light = blur(falloff(own, share, device=device), self.tables.combined(made, bands), made.gains, border,
                              made.period, margin=margin, device=device)
                 cover = integrate(bands, device.array(white), device=device)
                 cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
@@ -236,6 +236,6 @@ class Imaging:
 
     def _dimmed(self, made, planes):
         """Planes by what the light loses beyond the cos^4 law."""
-        if made.gain is None:
+        if made.falloff is None:
             return planes
-        return gain(planes, self.device.array(made.gain[None]), device=self.device)
+        return falloff(planes, self.device.array(made.falloff[None]), device=self.device)

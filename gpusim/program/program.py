@@ -296,7 +296,7 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     gains = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
-        falls = (plan.scene.shape, plan.slope, plan.gain, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
+        falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
         gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
     operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,

@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.kernels.optics.distort import distort
-from gpusim.kernels.optics.gain import gain
+from gpusim.kernels.optics.falloff import falloff
 from gpusim.planner.geometry import distortion_grid, microlens_gain, relative_illumination
 from gpusim.simulator import Simulator
 
@@ -200,7 +200,8 @@ def test_falloff_of_lens_and_microlenses(device):
     wanted = (1 - 0.4 * (r / (PITCH * np.hypot(*shape) / 2)) ** 2) * np.cos(np.arctan(r / pupil)
                                                                           - np.arctan(0.5 * r / pupil))
     # linear interpolation of a cosine every quarter degree: (0.25 deg)^2 / 8 = 2.4e-6
-    image = gain(np.ones((2, *shape), np.float32), (lens * micro)[None].astype(np.float32), device=open_device(device))
+    image = falloff(np.ones((2, *shape), np.float32), (lens * micro)[None].astype(np.float32),
+                    device=open_device(device))
     assert np.abs(image - wanted).max() < 3e-6
 
 

@@ -350,7 +350,7 @@ microlens = {angles_deg = [0, 30], response = [1, 0.8], shift = 0.5}
     assert read.sensor.microlens.angles[1] == pytest.approx(np.radians(30))
     frame = gs.Simulator(read, device=DEVICES[0])(gs.open_scene("deadleaves", size=(96, 64)))
     stages = [stage.stage for stage in frame.report.stages]
-    assert {"optics.distort", "optics.field", "optics.gain"} <= set(stages)
+    assert {"optics.distort", "optics.field", "optics.falloff"} <= set(stages)
     for wrong, says in (("k2 = 0.02", "k1, k2, radius_mm"), ('"psf.npz"', "psf2.npz"), ("[0, 30]", "angles")):
         bad = {"k2 = 0.02": "k3 = 0.02", '"psf.npz"': '"psf2.npz"', "[0, 30]": "[0, -30]"}[wrong]
         path.write_text(text.replace(wrong, bad))
