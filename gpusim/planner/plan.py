@@ -355,7 +355,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     if falloffs:
         models["optics.falloff"] = " and ".join(falloffs)
     layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
-    models["sensor.expose"] = f"{'cos^4, ' if slope else ''}{layout}"
+    models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
     if gains is not None:
         predicted["border"] = border
         if tolerance is None and border > TRANSFORM_ERROR:

@@ -17,7 +17,7 @@ from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
-from gpusim.kernels.sensor.expose import expose
+from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.widen import widen
@@ -91,7 +91,7 @@ class Imaging:
             rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, self._border(made), made.period,
                            margin=made.scene.margin, device=device)
         else:
-            rates = expose(self._blurred(made, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+            rates = collect(self._blurred(made, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
         if made.highlights is not None:
             rates = self._with_highlights(made, rates, cfa)
         return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
@@ -226,13 +226,13 @@ class Imaging:
         planes, cfa = rates
         if self.camera.sensor.stacked:
             return self.collected(made, planes, exposure_time)
-        return expose(self._dimmed(made, planes), cfa, exposure_time, made.slope, device=self.device)
+        return collect(self._dimmed(made, planes), cfa, exposure_time, made.slope, device=self.device)
 
     def collected(self, made: Plan, channels, exposure_time):
         """Every channel (C, rows, cols) with its fall-off, times the exposure time [s]."""
         channels = self._dimmed(made, channels)
-        return self.device.stack([expose(channels, np.full((1, 1), channel, np.int32), exposure_time, made.slope,
-                                         device=self.device) for channel in range(channels.shape[0])])
+        return self.device.stack([collect(channels, np.full((1, 1), channel, np.int32), exposure_time, made.slope,
+                                          device=self.device) for channel in range(channels.shape[0])])
 
     def _dimmed(self, made, planes):
         """Planes by what the light loses beyond the cos^4 law."""

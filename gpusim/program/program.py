@@ -12,8 +12,8 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.frame import Exposure, Frame
+from gpusim.kernels.sensor.collect import retime as recollect
 from gpusim.kernels.sensor.expect import retime as reexpect
-from gpusim.kernels.sensor.expose import retime as reexpose
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
@@ -197,7 +197,7 @@ class Program:
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
-                    lambda tape: reexpose(tape, seconds))
+                    lambda tape: recollect(tape, seconds))
         if plan.scene is not self.scene or self.meters_late:
             looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
             if not same(self._looked, looked):

@@ -1,7 +1,7 @@
 """Fall-off of every pixel: relative illumination of a measured lens, falloff of microlenses toward the corner.
 
 Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1]
--> planes (planes, rows, cols) float32 of the planes' unit. The cos^4 law alone needs no map: `sensor.expose` has it.
+-> planes (planes, rows, cols) float32 of the planes' unit. The cos^4 law alone needs no map: `sensor.collect` has it.
 """
 
 import numpy as np

@@ -517,7 +517,7 @@ def test_the_report_names_what_is_on_and_nothing_that_is_off():
     def stages(noise=QUIET, **changes):
         simulate = simulator(MOSAICS["bayer-rggb"], noise, device="numpy", **changes)
         found = {stage.stage: stage.model for stage in simulate(scene).report.stages}
-        return {name: model for name, model in found.items() if name.startswith("sensor.") and name != "sensor.expose"}
+        return {name: model for name, model in found.items() if name.startswith("sensor.") and name != "sensor.collect"}
 
     assert stages() == {"sensor.noise": "no noise; full well, 12 bit"}
     assert stages(bits=32) == {"sensor.noise": "no noise; full well, no converter"}

@@ -29,8 +29,8 @@ ENCODE = {"display.encode"}
 COLOUR = {"processor.color", *ENCODE}
 PROCESS = {"processor.adaptive", *COLOUR}
 READ = {"sensor.noise", *PROCESS}
-EXPOSE = {"sensor.expose", "sensor.expect", *READ}
-BLUR = {"optics.airy", "optics.mosaic", *EXPOSE}
+COLLECT = {"sensor.collect", "sensor.expect", *READ}
+BLUR = {"optics.airy", "optics.mosaic", *COLLECT}
 CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
     "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
     "color": ({"processor": {"training": "munsell"}}, COLOUR),
@@ -39,7 +39,7 @@ CHANGES = {  # what changes -> the stages behind it, by the order in which light
     "offsets": ({"noise": {"dsnu": 5.0}}, {"sensor.pattern", *READ}),
     "gain": ({"sensor": {"analog_gain": 4.0}}, READ),
     "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.expect", *READ}),
-    "exposure": ({"sensor": {"exposure_time": 0.03}}, EXPOSE),
+    "exposure": ({"sensor": {"exposure_time": 0.03}}, COLLECT),
     "f-number": ({"optics": {"f_number": 4.0}}, BLUR),
     "nothing": ({}, set()),
 }
@@ -114,7 +114,7 @@ def test_the_report_has_every_stage_that_ran(scene):
     names = [stage.stage for stage in report.stages]
     assert len(names) == len(set(names))
     assert {"spectral.integrate", "optics.airy", "optics.mosaic", "sensor.noise", "display.encode"} <= set(names)
-    order = [names.index(name) for name in ("optics.mosaic", "sensor.expose", "sensor.noise", "processor.adaptive",
+    order = [names.index(name) for name in ("optics.mosaic", "sensor.collect", "sensor.noise", "processor.adaptive",
                                             "processor.color", "display.encode")]
     assert order == sorted(order)
     assert 0 < report.ms <= report.wall_ms
