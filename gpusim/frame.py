@@ -13,7 +13,7 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import Rendering
 from gpusim.report import Report
 
-ON_DEVICE = ("mean", "expected")  # of an exposure
+ON_DEVICE = ("mean", "chip_mean")  # of an exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Exposure:
     plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
     mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
         cols) [e-].
-    expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
+    chip_mean: the same of this very chip, as the noise is drawn around it: see `Readout.chip_mean`.
     exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
         for the light that is known or assumed.
     blur: of the lens as a Gaussian [pixel], gains: of the shading correction at its nodes, where the camera uses them.
@@ -34,7 +34,7 @@ class Exposure:
     plan: Plan
     camera: Camera
     mean: Any
-    expected: Any
+    chip_mean: Any
     exposure_time: float
     gain: float
     rendering: Rendering

@@ -12,8 +12,8 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.frame import Exposure, Frame
-from gpusim.kernels.sensor.collect import retime as recollect
-from gpusim.kernels.sensor.expect import retime as reexpect
+from gpusim.kernels.sensor.chip import retime as retime_chip
+from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
@@ -183,7 +183,7 @@ class Program:
         if planes is not last.planes or not self.kept.refill("rates"):
             return None
         self.judge()
-        if self._plan is None or not self.kept.refill("mean", "expected"):
+        if self._plan is None or not self.kept.refill("mean", "chip_mean"):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
@@ -197,7 +197,7 @@ class Program:
         seconds, gain = self._operated(of, lambda: kept("per second", of, lambda: simulator.imaging.exposed(
             plan, rates, 1.0)))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
-                    lambda tape: recollect(tape, seconds))
+                    lambda tape: retime_collect(tape, seconds))
         if plan.scene is not self.scene or self.meters_late:
             looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
             if not same(self._looked, looked):
@@ -290,9 +290,9 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
         simulator.camera, sensor=readout.operated(gain)))
-    of = kept.one(mean), readout.chip, sensor.cfa, seconds
-    expected = kept("expected", of, lambda: readout.expected(mean, seconds),
-                    lambda tape: reexpect(tape, readout.dark_time(seconds)))
+    of = kept.one(mean), readout.response_key, sensor.cfa, seconds
+    chip_mean = kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
+                     lambda tape: retime_chip(tape, readout.dark_time(seconds)))
     gains = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
@@ -305,7 +305,7 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
               seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, device=simulator.device)
+    return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, gains, device=simulator.device)
 
 
 def _shading(simulator, plan):

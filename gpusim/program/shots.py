@@ -36,10 +36,10 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        seconds, expected = exposure.exposure_time, self._kept.one(exposure.expected)
-        of = expected, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
+        seconds, chip_mean = exposure.exposure_time, self._kept.one(exposure.chip_mean)
+        of = chip_mean, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
         return self._kept("raw", of, lambda: readout.draw(
-            exposure.expected, seconds, gain=exposure.gain, seed=seed, frame=frame),
+            exposure.chip_mean, seconds, gain=exposure.gain, seed=seed, frame=frame),
             lambda tape: redraw(tape, seed, frame, readout.dark_electrons(seconds)))
 
     @property

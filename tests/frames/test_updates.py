@@ -29,7 +29,7 @@ ENCODE = {"display.encode"}
 COLOUR = {"processor.color", *ENCODE}
 PROCESS = {"processor.adaptive", *COLOUR}
 READ = {"sensor.noise", *PROCESS}
-COLLECT = {"sensor.collect", "sensor.expect", *READ}
+COLLECT = {"sensor.collect", "sensor.chip", *READ}
 BLUR = {"optics.airy", "optics.mosaic", *COLLECT}
 CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
     "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
@@ -38,7 +38,7 @@ CHANGES = {  # what changes -> the stages behind it, by the order in which light
     "read noise": ({"noise": {"read": 9.0}}, READ),
     "offsets": ({"noise": {"dsnu": 5.0}}, {"sensor.pattern", *READ}),
     "gain": ({"sensor": {"analog_gain": 4.0}}, READ),
-    "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.expect", *READ}),
+    "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.chip", *READ}),
     "exposure": ({"sensor": {"exposure_time": 0.03}}, COLLECT),
     "f-number": ({"optics": {"f_number": 4.0}}, BLUR),
     "nothing": ({}, set()),

@@ -8,10 +8,10 @@ from gpusim.backends.select import open_device
 from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.sensor.bin import bin as binned
+from gpusim.kernels.sensor.chip import chip
+from gpusim.kernels.sensor.chip import retime as chip_for
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.sensor.collect import retime as collect_for
-from gpusim.kernels.sensor.expect import expect
-from gpusim.kernels.sensor.expect import retime as expect_for
 from gpusim.kernels.sensor.noise import noise, redraw
 from gpusim.kernels.spectral.integrate import integrate
 
@@ -28,8 +28,8 @@ def chain(device, content, weights, seconds, cfa=BAYER, twice=False):
     """A few stages: planes by a constant table, the mosaic, another exposure; sometimes a step more."""
     planes = integrate(content, device.array(weights), device=device)
     mean = collect(planes, cfa, seconds, 1e-3, device=device)
-    mean = expect(mean, scale=0.5, device=device)
-    return expect(mean, scale=2.0, device=device) if twice else mean
+    mean = chip(mean, scale=0.5, device=device)
+    return chip(mean, scale=2.0, device=device) if twice else mean
 
 
 def values(device, array):
@@ -147,15 +147,15 @@ def test_another_time_is_set_in_the_launches_of_one(device):
     with noted(tapes[0]):
         mean = collect(rates, BAYER, 0.1, 1e-3, device=device)
     with noted(tapes[1]):
-        expected = expect(mean, None, dark, dark_time=0.1, device=device)
+        expected = chip(mean, None, dark, dark_time=0.1, device=device)
     collect_for(tapes[0], 0.7)
-    expect_for(tapes[1], 2.5)
+    chip_for(tapes[1], 2.5)
     for tape in tapes:
         tape.replay()
     fresh = collect(rates, BAYER, 0.7, 1e-3, device=device)
     np.testing.assert_array_equal(values(device, mean), values(device, fresh))
     np.testing.assert_array_equal(values(device, expected),
-                                  values(device, expect(fresh, None, dark, dark_time=2.5, device=device)))
+                                  values(device, chip(fresh, None, dark, dark_time=2.5, device=device)))
 
 
 def test_results_on_a_tape_of_ones_own_are_kept(device):
