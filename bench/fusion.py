@@ -104,7 +104,7 @@ def _of_rank(camera, device, scene, rank):
     for limit in np.geomspace(1e-2, 1e-6, 60):
         simulator = Simulator(camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH)
         plan = simulator.plan(scene)
-        if plan.gains.shape[1] == rank and plan.transfers is not None:
+        if plan.mix.shape[1] == rank and plan.transfers is not None:
             return simulator, plan
     raise SystemExit(f"no tolerance gives rank {rank}")
 

@@ -57,7 +57,7 @@ def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
     own = reference.plan(scene)
     rates, cfa = reference.imaging.rates(own)
     border, tail = rule_of(scene.border), tail_of(camera.optics)
-    if own.gains is not None and border != "reflect" and tail:
+    if own.mix is not None and border != "reflect" and tail:
         light = reference.imaging.light(own)
         light = np.tensordot(own.weights / own.flat * own.q, light, 1)  # of each channel, times q
         rows, cols = (np.arange(scene.margin - own.spare, n - scene.margin + own.spare) for n in light.shape[1:])
@@ -71,7 +71,7 @@ def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
 
 def _reference(simulator, camera, scene, made):
     """Simulator in float64 whose transforms are as long as this scene needs."""
-    if made.gains is None:
+    if made.mix is None:
         return simulator(camera, device="numpy")
     optics, shape = camera.optics, [n + 2 * scene.margin for n in scene.samples]
     spread = spread_radius(optics, scene.wavelengths, camera.sensor.pixel_pitch / scene.samples_per_pixel)

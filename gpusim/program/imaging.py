@@ -45,7 +45,7 @@ class Imaging:
         """Planes as the distortion puts them."""
         if made.distortion is None:
             return planes
-        shape = made.scene.samples if made.gains is None else planes.shape[1:]
+        shape = made.scene.samples if made.mix is None else planes.shape[1:]
         border = "edge" if made.scene.border == "scene" else made.scene.border
         return distort(planes, made.distortion.nodes[None].astype(np.float32), shape, border, made.distortion.method,
                        device=self.device)
@@ -54,7 +54,7 @@ class Imaging:
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
         margin = made.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin or None) if made.gains is None and made.distortion is None else slice(None)
+        inside = slice(margin, -margin or None) if made.mix is None and made.distortion is None else slice(None)
         return inside, inside
 
     def stored(self, content, window=WHOLE):
@@ -84,11 +84,11 @@ class Imaging:
         planes: of the scene, before the blur, where they are known.
         """
         device, cfa = self.device, self.camera.sensor.cfa_indices
-        if made.gains is None or (not made.folded and (made.highlights is None or made.taps is not None)):
+        if made.mix is None or (not made.folded and (made.highlights is None or made.taps is not None)):
             return self.channels(made, planes), cfa
         planes = self._before(made, planes)
         if made.folded:
-            rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, self._border(made), made.period,
+            rates = mosaic(planes, self.tables.transfer(made), made.mix, cfa, self._border(made), made.period,
                            margin=made.scene.margin, device=device)
         else:
             rates = collect(self._blurred(made, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
@@ -102,7 +102,7 @@ class Imaging:
         planes: as for `rates`.
         """
         planes, margin = self._before(made, planes), made.scene.margin
-        if made.gains is None:
+        if made.mix is None:
             if margin and made.distortion is None and tuple(planes.shape[1:]) != made.scene.samples:
                 planes = self._inside(planes, margin)
             return self.pixels(made, planes)
@@ -120,10 +120,10 @@ class Imaging:
         nodes, optics = made.scene.wavelengths, self.camera.optics
         scale = made.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
         table = None if made.content.is_spectral else made.content.entry_spectra.T
-        if made.gains is None:
+        if made.mix is None:
             weighted = np.diag(scale) if table is None else scale[:, None] * table
             return replace(made, weights=np.diag(scale), table=weighted)
-        return replace(made, weights=np.diag(scale), gains=np.diag(scale / made.flat), table=table, transfers=None,
+        return replace(made, weights=np.diag(scale), mix=np.diag(scale / made.flat), table=table, transfers=None,
                        folded=False)
 
     @staticmethod
@@ -141,11 +141,11 @@ class Imaging:
         device, border, margin = self.device, self._border(made), made.scene.margin
         # spare samples around the scene's own: the crop of the blur begins outside of them
         if made.fft_free:
-            rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
+            rates = nearfar(planes, self.tables.levels(made), made.mix, border, device=device)
             if margin:
                 rates = self._inside(rates, margin)
         elif made.depth is None:
-            rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
+            rates = blur(planes, self.tables.transfer(made), made.mix, border, made.period,
                          margin=margin - made.spare, device=device)
         else:
             rates = self._by_depth(made, planes, border)
@@ -174,7 +174,7 @@ class Imaging:
             for kernel, share in depth.shares(coverage, confusion):
                 bands = self.tables.all_bands(made, depth.distances[kernel])
                 share = device.array(share[None])
-                light = blur(falloff(own, share, device=device), self.tables.combined(made, bands), made.gains, border,
+                light = blur(falloff(own, share, device=device), self.tables.combined(made, bands), made.mix, border,
                              made.period, margin=margin, device=device)
                 cover = integrate(bands, device.array(white), device=device)
                 cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
@@ -193,7 +193,7 @@ class Imaging:
             {name: value if name in ("edges", "index") else self.device.array(value)  # those are read on the host
              for name, value in varying.stage_inputs.items()},
             transfer(self.device, varying.kernels, varying.edges)))
-        return field(planes, gains=made.gains, border=border, margin=made.scene.margin - made.spare, base=rates,
+        return field(planes, mix=made.mix, border=border, margin=made.scene.margin - made.spare, base=rates,
                      tables=tables, device=self.device, **inputs)
 
     def pixels(self, made: Plan, rates):

@@ -41,13 +41,13 @@ class LensTables:
 
     def transfer(self, made: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
-        assert made.gains is not None  # a plan with blur
-        name = f"transfer {made.gains.shape}"  # those of its wavelengths beside those of a plan
+        assert made.mix is not None  # a plan with blur
+        name = f"transfer {made.mix.shape}"  # those of its wavelengths beside those of a plan
         return self._kept(name, self._key(made), lambda: self.combined(made, self.all_bands(made)))
 
     def _key(self, made):
         """What the tables of a plan are made of."""
-        return (self._lens, made.q, self.grid(made.scene.samples_per_pixel), made.period, made.gains.shape,
+        return (self._lens, made.q, self.grid(made.scene.samples_per_pixel), made.period, made.mix.shape,
                 made.transfers)
 
     def levels(self, made: Plan):
@@ -91,7 +91,7 @@ class LensTables:
 
     def deviation(self, made: Plan) -> float:
         """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
-        if made.gains is None:
+        if made.mix is None:
             return 0.0
         sensor, q = self.camera.sensor, made.q / made.scene.samples_per_pixel
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)

@@ -320,16 +320,16 @@ def test_hard_10_blur_wider_than_a_tile(device):
     """
     planes = natural((72, 72)).content.values[[5, 15, 25]]
     q = WAVELENGTHS[[5, 15, 25]] * 1e-9 * 16 / 1e-6
-    margin, period, gains = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
+    margin, period, mix = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
     tables = airy(q, 1.0, *period, device="numpy")[None].astype(np.float32)
-    whole = blur(planes, tables, gains, "zero", period, device=device)
+    whole = blur(planes, tables, mix, "zero", period, device=device)
     around = np.pad(planes, ((0, 0), (margin, margin), (margin, margin)))
     tiled = np.zeros_like(whole)
     for y in range(0, 72, 24):
         for x in range(0, 72, 24):
             window = np.ascontiguousarray(around[:, y : y + 24 + 2 * margin, x : x + 24 + 2 * margin])
-            tiled[:, y : y + 24, x : x + 24] = blur(window, tables, gains, "zero", period, margin, device=device)
+            tiled[:, y : y + 24, x : x + 24] = blur(window, tables, mix, "zero", period, margin, device=device)
     print(f"{device}: tiles differ by {np.abs(tiled - whole).max() / whole.max():.1e}")
     assert np.abs(tiled - whole).max() <= 1e-5 * whole.max()
-    alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, gains, "zero", period, device=device)
+    alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device)
     assert np.abs(alone - whole[:, :24, :24]).max() > 0.05 * whole.max()  # the blur is wider than a tile

@@ -128,11 +128,11 @@ def test_planes_and_gains_add_up(device):
     """Kernels shared by the channels, and the same kernels given to each channel, are one blur."""
     random = np.random.default_rng(5)
     planes = random.random((2, 40, 60), np.float32)
-    gains = random.uniform(-1, 1, (3, 2)).astype(np.float32)
+    mix = random.uniform(-1, 1, (3, 2)).astype(np.float32)
     shared = levels_of(kernels()[:2].transpose(1, 0, 2, 3))
     own = [tuple(np.repeat(part, 3, axis=0) for part in level) for level in shared]
-    one = nearfar(planes, shared, gains, "reflect", device=device)
-    other = nearfar(planes, own, gains, "reflect", device=device)
+    one = nearfar(planes, shared, mix, "reflect", device=device)
+    other = nearfar(planes, own, mix, "reflect", device=device)
     # two orders of the same sums: roundings of 6e-8 of planes below 2, some ten in a row
     assert np.abs(one - other).max() <= 1.2e-6
 
@@ -153,17 +153,17 @@ def test_what_cannot_be_split_is_refused():
 
 
 def test_levels_that_do_not_fit_are_refused():
-    planes, gains = np.ones((2, 8, 8), np.float32), np.ones((3, 2))
+    planes, mix = np.ones((2, 8, 8), np.float32), np.ones((3, 2))
 
-    def blur(shape=(1, 2, 1, 3), gains=gains, border="edge", factor=2, fill=1.0, levels=None):
+    def blur(shape=(1, 2, 1, 3), mix=mix, border="edge", factor=2, fill=1.0, levels=None):
         level = tuple(np.full(shape, fill) for _ in range(2))
-        nearfar(planes, [level] if levels is None else levels, gains, border, factor, device=DEVICES[0])
+        nearfar(planes, [level] if levels is None else levels, mix, border, factor, device=DEVICES[0])
 
     blur()
     for options, words in (({"shape": (2, 2, 1, 3)}, "3"), ({"shape": (1, 3, 1, 3)}, "3 planes"),
                            ({"shape": (1, 2, 1, 4)}, "4 taps"), ({"shape": (1, 2, 0, 3)}, "zero"),
                            ({"fill": np.inf}, "finite"), ({"levels": []}, "one at least"),
-                           ({"gains": np.ones((3, 1))}, r"\(3, 1\)")):
+                           ({"mix": np.ones((3, 1))}, r"\(3, 1\)")):
         with pytest.raises(BadData, match=words):
             blur(**options)
     with pytest.raises(UnknownName):
