@@ -293,11 +293,11 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     of = kept.one(mean), readout.response_key, sensor.cfa, seconds
     chip_mean = kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
                      lambda tape: retime_chip(tape, readout.dark_time(seconds)))
-    gains = None
+    shading = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
         falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
-        gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
+        shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
     operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
               sensor.channels, sensor.stacked, operated.saturation, operated.gain_dn_per_electron,
@@ -305,7 +305,7 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
               seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, gains, device=simulator.device)
+    return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, shading, device=simulator.device)
 
 
 def _shading(simulator, plan):

@@ -175,12 +175,12 @@ def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
 def test_pictures_are_the_callers_own(scene):
     program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(scene)
     first, second = program.frame(), program.frame(frame=1)
-    before = second.mean.copy(), second.gains.copy()
+    before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
-    first.gains[...] = 0
-    for array, kept in zip((second.mean, second.gains), before, strict=True):
+    first.shading[...] = 0
+    for array, kept in zip((second.mean, second.shading), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-    np.testing.assert_array_equal(program.frame(frame=2).gains, before[1])
+    np.testing.assert_array_equal(program.frame(frame=2).shading, before[1])
 
 
 def test_a_negative_gain_is_refused_at_once(scene):
