@@ -82,7 +82,7 @@ class Developer:
         raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. white: camera values of
         white, any scale, shape (C,), by which colours are compared (None: as they come); what comes out keeps its own
         scale, so that clipped values are told from others as before. known: map of the chip's
-        defective pixels, of the same shape, and shading, the shading of its correction at its nodes, (positions, ny, nx) for
+        defective pixels, of the same shape, and shading, the correction's gains at its nodes, (positions, ny, nx) for
         the pixels of the mosaic's period, where these are asked for. blur: of the lens [pixel], see `best`.
         """
         sensor, processor, device = self.camera.sensor, self.camera.processor, self.device

@@ -181,12 +181,12 @@ class Simulator:
     def _true_error(self, scene, exposure):
         """Error of the mean electrons against the float64 reference."""
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
-        made, time = exposure.plan, exposure.exposure_time
-        if made.varying is None:
-            truth = true_mean(Simulator, self.camera, scene, made, time)
+        plan, time = exposure.plan, exposure.exposure_time
+        if plan.varying is None:
+            truth = true_mean(Simulator, self.camera, scene, plan, time)
         else:
             pixels = probe_pixels(scene.shape)
-            truth = at_pixels(Simulator, self.camera, scene, made, time, pixels)
+            truth = at_pixels(Simulator, self.camera, scene, plan, time, pixels)
             mean = mean[pixels[:, 0], pixels[:, 1]]
         return Error.between(mean, truth, self.camera.sensor.read_sigma)
 
@@ -258,7 +258,7 @@ class Simulator:
         if held > self.device.memory:
             raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, self.device.memory, self.device.name)
         with self.device.timed() as ms:
-            rates = [self.imaging.exposed(made, self.imaging.rates(made), 1.0) for made in plans]
+            rates = [self.imaging.exposed(plan, self.imaging.rates(plan), 1.0) for plan in plans]
             shape = rates[0].shape
             exposure_time = self.camera.sensor.exposure_time if exposure_time is None else exposure_time
             if exposure_time is None:
@@ -268,8 +268,8 @@ class Simulator:
             stacked = self.device.reshape(self.device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
             mean = shutter(stacked, np.tile(weights, (layers, 1)), device=self.device)
             model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
-            made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
-            exposure = exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, Kept())
+            plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
+            exposure = exposed(self, plan, self.device.reshape(mean, shape), exposure_time, gain, Kept())
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:

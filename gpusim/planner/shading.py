@@ -10,19 +10,19 @@ NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
 INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
 
 
-def relative_response(made: Plan) -> np.ndarray:
+def relative_response(plan: Plan) -> np.ndarray:
     """What a flat scene gives at every pixel over that on the axis, float64 (rows, cols).
 
     Relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
     """
-    response = np.ones(made.scene.shape)
-    if made.slope:
-        response *= relative_illumination("cos4", made.scene.shape, made.slope, 1.0)
-    if made.falloff is not None:
-        response *= made.falloff
-    if made.distortion is not None:
-        flux = made.distortion.nodes[..., 2]
-        along_y, along_x = map(_cubics, flux.shape, made.scene.shape)
+    response = np.ones(plan.scene.shape)
+    if plan.slope:
+        response *= relative_illumination("cos4", plan.scene.shape, plan.slope, 1.0)
+    if plan.falloff is not None:
+        response *= plan.falloff
+    if plan.distortion is not None:
+        flux = plan.distortion.nodes[..., 2]
+        along_y, along_x = map(_cubics, flux.shape, plan.scene.shape)
         response *= along_y @ flux @ along_x.T
     return response
 
