@@ -93,9 +93,9 @@ def main():
                   f"({ratios.min():.2f} .. {ratios.max():.2f})")
 
 
-def _tables(made, dtype):
-    half = airy(made.q, 1.0, *made.period, device="opencl").astype(dtype)
-    fold = np.minimum(np.arange(made.period[0]), made.period[0] - np.arange(made.period[0]))
+def _tables(plan, dtype):
+    half = airy(plan.q, 1.0, *plan.period, device="opencl").astype(dtype)
+    fold = np.minimum(np.arange(plan.period[0]), plan.period[0] - np.arange(plan.period[0]))
     return half[:, fold]
 
 

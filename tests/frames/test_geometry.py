@@ -216,9 +216,9 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     scene = Scene(Cube(np.array([400.0, 500, 600, 700]), np.stack([values] * 4)), illuminant("D65"), border="zero")
     simulate = Simulator(replace(camera, optics=optics), device=device)
     mean = np.array(simulate.device.numpy(simulate.expose(scene, 0.01).mean))
-    made = simulate.plan(scene)
-    assert made.distortion.method == "cubic"
-    before = np.array(simulate.device.numpy(simulate.imaging.light(made)))
+    plan = simulate.plan(scene)
+    assert plan.distortion.method == "cubic"
+    before = np.array(simulate.device.numpy(simulate.imaging.light(plan)))
     assert before.min() < -0.01 * before.max()  # the overshoot that the scene has
     assert mean.min() >= 0
     assert mean.max() > 0

@@ -62,14 +62,14 @@ def test_error_on_a_natural_scene(device, seed):
 def fused_scene():
     """A 31-band scene, four fused planes of it and their kernels, and the channels band by band in float64."""
     scene = fusion.natural(SHAPE[::-1])
-    made = fusion.made_for(scene)
-    operator = joint_operator(fusion.response_of(made), fusion.library())
+    plan = fusion.made_for(scene)
+    operator = joint_operator(fusion.response_of(plan), fusion.library())
     reach = 127  # 31 float64 convolutions with twice that would take longer than all other tests here
     period = (2 * reach + 2,) * 2
-    bands = np.array([kernel_of(table, period, reach) for table in airy(made.q, 1.0, *period, device="numpy")])
+    bands = np.array([kernel_of(table, period, reach) for table in airy(plan.q, 1.0, *period, device="numpy")])
     values = scene.content.values
     channels = sum(weights[:, None, None] * truth(plane, kernel)
-                   for weights, plane, kernel in zip(made.weights.T, values, bands, strict=True))
+                   for weights, plane, kernel in zip(plan.weights.T, values, bands, strict=True))
     planes = np.tensordot(operator.w_in[:, :4].T, values, 1).astype(np.float32)
     return planes, np.tensordot(operator.transfers(4), bands, 1), channels
 
