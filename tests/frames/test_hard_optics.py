@@ -41,7 +41,7 @@ def with_points(background, places, levels, lines):
     return values
 
 
-def by_hand(values, made):
+def by_hand(values, plan):
     """Every pixel's light spread by pixel-integrated Airy patterns in space; the background by transforms in float64.
 
     Nothing wraps around: the points' kernels are integrals over the pixel, Gauss-Legendre of an order that resolves
@@ -49,8 +49,8 @@ def by_hand(values, made):
     """
     rows, cols = values.shape[1:]
     base = np.median(values, axis=(1, 2))
-    brute = Brute(made.q, (rows, cols))
-    out = brute.truth(brute.transform(np.broadcast_to(base[:, None, None], values.shape)), made.weights, CFA)
+    brute = Brute(plan.q, (rows, cols))
+    out = brute.truth(brute.transform(np.broadcast_to(base[:, None, None], values.shape)), plan.weights, CFA)
     y, x = np.indices((rows, cols))
     channel = CFA[y % 2, x % 2]
     nodes, mass = (array / 2 for array in np.polynomial.legendre.leggauss(10))
@@ -59,8 +59,8 @@ def by_hand(values, made):
         dy, dx = ((axis - at)[..., None] + nodes for axis, at in ((np.arange(rows), py), (np.arange(cols), px)))
         radius = np.hypot(dy.ravel()[:, None], dx.ravel())
         for band in np.flatnonzero(more):
-            density = airy_density(radius, made.q[band]).reshape(rows, 10, cols, 10)
-            out += made.weights[channel, band] * more[band] * np.einsum("iajb,a,b->ij", density, mass, mass)
+            density = airy_density(radius, plan.q[band]).reshape(rows, 10, cols, 10)
+            out += plan.weights[channel, band] * more[band] * np.einsum("iajb,a,b->ij", density, mass, mass)
     return out
 
 

@@ -66,15 +66,15 @@ def scene_of(values, border, margin=0):
     return Scene(Cube(BANDS, values), Spectrum(BANDS, np.full(2, 1e15)), border, margin)
 
 
-def truth(scene, made, waves=(0.0, 0.0), hole=0.0):
+def truth(scene, plan, waves=(0.0, 0.0), hole=0.0):
     """Mean electrons for one second, band by band."""
     border = "edge" if scene.border == "scene" else scene.border
     bands = [picture(plane, q, border, wave, hole)
-             for plane, q, wave in zip(scene.content.values, made.q, waves, strict=True)]
+             for plane, q, wave in zip(scene.content.values, plan.q, waves, strict=True)]
     m = scene.margin
-    channels = np.tensordot(made.weights, np.stack(bands), 1)[:, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m]
+    channels = np.tensordot(plan.weights, np.stack(bands), 1)[:, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m]
     y, x = np.indices(channels.shape[1:])
-    cfa = made.camera.sensor.cfa_indices
+    cfa = plan.camera.sensor.cfa_indices
     return np.take_along_axis(channels, cfa[y % cfa.shape[0], x % cfa.shape[1]][None], 0)[0]
 
 
