@@ -24,7 +24,7 @@ class Baseline:
         whole = np.concatenate([tables, tables[:, -2 + self.plan.period[0] % 2 : 0 : -1]], axis=1)
         self.tables = np.ascontiguousarray(whole[:, : self.plan.period[0], :cols], np.float32)
         assert tables.shape[1:] == (rows, cols)  # quarters
-        self.gains = self.plan.gains.astype(np.float32)
+        self.mix = self.plan.mix.astype(np.float32)
         self.before = [(length - n) // 2 for length, n in zip(self.plan.period, scene.shape, strict=True)]
         self.cfa, self.sensor = sensor.cfa_indices, sensor
         y, x = (np.arange(n) - (n - 1) / 2 for n in scene.shape)
@@ -38,12 +38,12 @@ class Baseline:
         pads = [(before, length - n - before) for before, length, n in zip(
             self.before, self.plan.period, (rows, cols), strict=True)]
         workers = os.cpu_count()
-        sums = np.zeros((len(self.gains), self.plan.period[0], self.plan.period[1] // 2 + 1), np.complex64)
-        for band, table, gains in zip(cube, self.tables, self.gains.T, strict=True):
+        sums = np.zeros((len(self.mix), self.plan.period[0], self.plan.period[1] // 2 + 1), np.complex64)
+        for band, table, weights in zip(cube, self.tables, self.mix.T, strict=True):
             spectrum = scipy.fft.rfft2(np.pad(band, pads, mode="edge"), workers=workers, overwrite_x=True)
             spectrum *= table
-            for one, gain in zip(sums, gains, strict=True):
-                one += gain * spectrum
+            for one, weight in zip(sums, weights, strict=True):
+                one += weight * spectrum
         channels = scipy.fft.irfft2(sums, self.plan.period, workers=workers, overwrite_x=True)
         top, left = self.before
         channels = channels[:, top : top + rows, left : left + cols]

@@ -87,15 +87,15 @@ def forms(device, rows, cols):
     shapes = ((3, 15), (4, 15), (4, 15), (4, 15), (4, 15), (4, 17))
     for planes, groups in ((3, 3), (8, 1)):
         several = device.array(random.random((planes, rows, cols), np.float32))
-        gains = random.random((3, planes), np.float32)
+        mix = random.random((3, planes), np.float32)
         levels = [tuple(random.random((groups, planes, *shape), np.float32) for _ in range(2)) for shape in shapes]
         period = tuple(fft_length(n + 2 * REACH) for n in (rows, cols))
         tables = device.array(random.random((groups, planes, period[0] // 2 + 1, period[1] // 2 + 1), np.float32))
         name = f"{planes} planes, {'own' if groups > 1 else 'shared'} kernels"
-        made[f"pyramid, {name}"] = (ready(lambda several=several, levels=levels, gains=gains: nearfar(
-            several, levels, gains, "edge", device=device)), 0)
-        made[f"FFT, {name}"] = (ready(lambda several=several, tables=tables, gains=gains, period=period: blur(
-            several, tables, gains, "edge", period, device=device)), 0)
+        made[f"pyramid, {name}"] = (ready(lambda several=several, levels=levels, mix=mix: nearfar(
+            several, levels, mix, "edge", device=device)), 0)
+        made[f"FFT, {name}"] = (ready(lambda several=several, tables=tables, mix=mix, period=period: blur(
+            several, tables, mix, "edge", period, device=device)), 0)
     return made
 
 

@@ -73,7 +73,7 @@ def main():
     one = np.ones((1, 1), np.float32)
 
     def run():
-        results = [field(plane[None], gains=one, border="zero", threshold=100.0, tables=tables, device=device, **inputs)
+        results = [field(plane[None], mix=one, border="zero", threshold=100.0, tables=tables, device=device, **inputs)
                    for plane in planes]
         device.sync()
         return np.concatenate([device.numpy(result) for result in results])

@@ -93,9 +93,9 @@ def main():
                   f"({ratios.min():.2f} .. {ratios.max():.2f})")
 
 
-def _tables(made, dtype):
-    half = airy(made.q, 1.0, *made.period, device="opencl").astype(dtype)
-    fold = np.minimum(np.arange(made.period[0]), made.period[0] - np.arange(made.period[0]))
+def _tables(plan, dtype):
+    half = airy(plan.q, 1.0, *plan.period, device="opencl").astype(dtype)
+    fold = np.minimum(np.arange(plan.period[0]), plan.period[0] - np.arange(plan.period[0]))
     return half[:, fold]
 
 
@@ -104,7 +104,7 @@ def _of_rank(camera, device, scene, rank):
     for limit in np.geomspace(1e-2, 1e-6, 60):
         simulator = Simulator(camera, device=device, tolerance=Tolerance(rms=limit), reach=BORDER_REACH)
         plan = simulator.plan(scene)
-        if plan.gains.shape[1] == rank and plan.transfers is not None:
+        if plan.mix.shape[1] == rank and plan.transfers is not None:
             return simulator, plan
     raise SystemExit(f"no tolerance gives rank {rank}")
 

@@ -16,20 +16,20 @@ import time
 import numpy as np
 
 from gpusim.backends import open_device
-from gpusim.kernels.sensor import expect, noise
+from gpusim.kernels.sensor import chip, noise
 
 BATCH = 16
 
 
 def forms(device, rows, cols):
     """Name -> (function, frames that it draws)."""
-    full, chip = noise.bench(rows, cols), expect.bench(rows, cols)
+    full, own = noise.bench(rows, cols), chip.bench(rows, cols)
     mean, random = full["expected"], np.random.default_rng(0)
 
     def resident(inputs):
         return {name: device.array(value) if isinstance(value, np.ndarray) else value for name, value in inputs.items()}
 
-    full, chip = resident(full), resident(chip)
+    full, own = resident(full), resident(own)
     plain = {name: value for name, value in full.items()
              if name not in ("offset", "amplitude", "row_noise", "column_noise")}
 
@@ -45,7 +45,7 @@ def forms(device, rows, cols):
         "full, 16 frames": (stage(noise.noise, {**full, "frames": BATCH}), BATCH),
         "full, exact": (stage(noise.noise, {**full, "photon": "exact"}), 1),
         "photon and read": (stage(noise.noise, plain), 1),
-        "chip": (stage(expect.expect, chip), 1),
+        "chip": (stage(chip.chip, own), 1),
     }
 
 

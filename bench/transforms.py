@@ -47,7 +47,7 @@ def of_device(name, period, planes):
     content = device.array(random.random((BANDS, ROWS, COLS), np.float32))
     weights = device.array(random.random((planes, BANDS), np.float32))
     tables = device.array(random.random((3, planes, period[0] // 2 + 1, period[1] // 2 + 1), np.float32))
-    gains = random.random((3, planes), np.float32)
+    mix = random.random((3, planes), np.float32)
 
     def once():
         found = {}
@@ -61,7 +61,7 @@ def of_device(name, period, planes):
             fft.inverse(device, spectra, period[1])
         found |= {"inverse": sum(times.values())} | {f"  inverse {k}": t for k, t in times.items()}
         with by_kernel(device) as times:
-            mosaic(reduced, tables, gains, CFA, "edge", period, device=device)
+            mosaic(reduced, tables, mix, CFA, "edge", period, device=device)
         return found | {"mosaic (extend, forward, fold, inverse)": sum(times.values())} | {
             f"  mosaic {k}": t for k, t in times.items()}
 

@@ -76,13 +76,13 @@ class Developer:
         noise, gain = RawNoise.of(self.camera.sensor, self.averaged), self.camera.sensor.gain_dn_per_electron
         return gain * noise.photons / noise.averaged, gain * noise.variance() ** 0.5
 
-    def demosaicked(self, raw, *, white=None, known=None, gains=None, blur: float = 0.0):
+    def demosaicked(self, raw, *, white=None, known=None, shading=None, blur: float = 0.0):
         """Camera values of every pixel, (C, rows, cols), or what the table of learned filters gives; white level 1.
 
         raw: digital numbers (rows, cols), the layers of stacked pixels one below the other. white: camera values of
         white, any scale, shape (C,), by which colours are compared (None: as they come); what comes out keeps its own
         scale, so that clipped values are told from others as before. known: map of the chip's
-        defective pixels, of the same shape, and gains of the shading correction at its nodes, (positions, ny, nx) for
+        defective pixels, of the same shape, and shading, the correction's gains at its nodes, (positions, ny, nx) for
         the pixels of the mosaic's period, where these are asked for. blur: of the lens [pixel], see `best`.
         """
         sensor, processor, device = self.camera.sensor, self.camera.processor, self.device
@@ -94,10 +94,10 @@ class Developer:
             for layer in range(count):
                 one, numbers = self._corrected(device.part(stack, layer), np.zeros((1, 1), np.int32),
                                                None if flags is None else device.part(flags, layer),
-                                               None if gains is None else gains[layer : layer + 1])
+                                               None if shading is None else shading[layer : layer + 1])
                 planes.append(linear(one, black_level=numbers.black, scale=numbers.scale, device=device))
             return device.reshape(device.stack(planes), (count, size, raw.shape[1]))
-        raw, numbers = self._corrected(raw, sensor.cfa_indices, known, gains)
+        raw, numbers = self._corrected(raw, sensor.cfa_indices, known, shading)
         options = {"black_level": numbers.black, "scale": numbers.scale, "device": device}
         if sensor.is_monochrome:
             return linear(raw, **options)
@@ -132,7 +132,7 @@ class Developer:
         red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
         return green / red, green / blue
 
-    def _corrected(self, raw, mosaic, known, gains):
+    def _corrected(self, raw, mosaic, known, shading):
         """Raw values without defects, noise and shading as the camera asks, and what their numbers mean.
 
         Noise is that where the shading's gain is 1, and none after denoising.
@@ -149,9 +149,9 @@ class Developer:
             raw = denoise(raw, cfa=mosaic, black_level=numbers.black, scale=numbers.scale, noise=numbers.noise,
                           strength=processor.denoise, device=device)
             numbers = replace(numbers.corrected(), noise=(0.0, 0.0))
-        if gains is not None:
+        if shading is not None:
             positions = np.arange(mosaic.size, dtype=np.int32).reshape(mosaic.shape)
-            raw = shade(raw, gains, cfa=positions, black_level=numbers.black, scale=numbers.scale, device=device)
+            raw = shade(raw, shading, cfa=positions, black_level=numbers.black, scale=numbers.scale, device=device)
             numbers = numbers.corrected()
         return raw, numbers
 

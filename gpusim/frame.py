@@ -13,7 +13,7 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import Rendering
 from gpusim.report import Report
 
-ON_DEVICE = ("mean", "expected")  # of an exposure
+ON_DEVICE = ("mean", "chip_mean")  # of an exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +23,10 @@ class Exposure:
     plan: of the scene. camera: as operated, its sensor binned and with the analog gain that was chosen.
     mean: mean electrons of every pixel, not binned, array of the device, (rows, cols) or, of stacked pixels, (C, rows,
         cols) [e-].
-    expected: the same of this very chip, as the noise is drawn around it: see `Readout.expected`.
+    chip_mean: the same of this very chip, as the noise is drawn around it: see `Readout.chip_mean`.
     exposure_time: [s]. gain: analog gain that automatic exposure chose [1]. rendering: how its values become colours,
         for the light that is known or assumed.
-    blur: of the lens as a Gaussian [pixel], gains: of the shading correction at its nodes, where the camera uses them.
+    blur: of the lens as a Gaussian [pixel], shading: the correction's gains at its nodes, where the camera uses them.
     ms: milliseconds per stage that it took; wall_ms: in all, planning included. device: where the electrons are.
     It is pickled with their values and the device's name, which is opened where it is loaded.
     """
@@ -34,12 +34,12 @@ class Exposure:
     plan: Plan
     camera: Camera
     mean: Any
-    expected: Any
+    chip_mean: Any
     exposure_time: float
     gain: float
     rendering: Rendering
     blur: float = 0.0
-    gains: np.ndarray | None = None
+    shading: np.ndarray | None = None
     ms: dict = dataclasses.field(default_factory=dict)
     wall_ms: float = 0.0
     device: Device = dataclasses.field(default_factory=Device)
@@ -64,7 +64,7 @@ class Frame:
         white that of the picture where the camera estimates it.
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
-    blur, gains: as of the exposure.
+    blur, shading: as of the exposure.
     linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
         rows, cols). rgb: display codes, uint8 (rows, cols, 3).
     """
@@ -78,7 +78,7 @@ class Frame:
     rgb: np.ndarray
     report: Report
     blur: float = 0.0
-    gains: np.ndarray | None = None
+    shading: np.ndarray | None = None
 
     def save(self, path):
         """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""

@@ -223,10 +223,10 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
     merge. made: its stages -> what they did.
     """
     device, old, asked = simulator.device, frame.camera.sensor, frame.camera.processor
-    averaged, gains = simulator.readout.averaged, frame.gains
+    averaged, shading = simulator.readout.averaged, frame.shading
     chip = dataclasses.replace(old.noise, dark_current=0.0, read=dark_noise * averaged**0.5, reset=0.0, adc=0.0,
                                row=0.0, column=0.0, dsnu=0.0, row_dsnu=0.0, column_dsnu=0.0)
-    processor = dataclasses.replace(asked, defects="none", shading=gains is not None)
+    processor = dataclasses.replace(asked, defects="none", shading=shading is not None)
 
     def scaled(full):
         """Camera, digital numbers, and the developer that demosaicked them to planes, 1 being `full` electrons."""
@@ -236,7 +236,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
         raw = np.rint(np.clip(electrons * np.float32(gain) + np.float32(PEDESTAL), 0, TOP)).astype(np.uint16)
         developer = Developer(camera, device, averaged)
-        planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), gains=gains,
+        planes = developer.demosaicked(device.array(raw.reshape(-1, raw.shape[-1]), np.uint16), shading=shading,
                                        white=frame.rendering.neutral, blur=frame.blur)
         return camera, raw, developer, planes
 
@@ -245,7 +245,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         step = full / (TOP - PEDESTAL)
         if step**2 * ROUNDING > COARSE * dark_noise**2:
             fine = device.numpy(scaled(full / FINER)[-1]) / FINER
-            most = 1.0 if gains is None else max(1.0, float(gains.max()))  # the shading's gains clip earlier
+            most = 1.0 if shading is None else max(1.0, float(shading.max()))  # the shading's gains clip earlier
             planes = device.array(np.where(_bright(electrons, full / FINER / most), device.numpy(planes), fine))
         k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)  # old camera value over new
         once = frame.rendering
@@ -260,7 +260,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         first["processor.defects"] = Developer(before, device).models()["processor.defects"] + ", frame by frame"
     report = _reported(frame.report, first | made | developer.models(), {
         name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}})
-    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, gains)
+    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, shading)
 
 
 def _reported(report, processing, ms):

@@ -12,7 +12,7 @@ from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
 from gpusim.kernels.sensor.noise import MOST, noise
 from gpusim.kernels.sensor.pattern import pattern
@@ -45,11 +45,11 @@ class Readout:
         self._operated = 1.0, self.output
 
     @property
-    def chip(self):
-        """What the expected electrons of a mean depend on."""
-        chip = self.sensor.noise
-        return (self.sensor.binning, self.sensor.binning_mode, chip.prnu, chip.row_prnu, chip.column_prnu,
-                chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth, chip.seed)
+    def response_key(self):
+        """What the chip's mean electrons depend on beside the scene's."""
+        noise_ = self.sensor.noise
+        return (self.sensor.binning, self.sensor.binning_mode, noise_.prnu, noise_.row_prnu, noise_.column_prnu,
+                noise_.dead_pixels, noise_.hot_pixels, noise_.hot_current, noise_.warmth, noise_.seed)
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""
@@ -71,7 +71,7 @@ class Readout:
                                  f"that all colours of the mosaic {'/'.join(sensor.cfa)} are near every pixel")
         return tuple(shape)
 
-    def expected(self, mean, exposure_time: float, scale: float = 1.0):
+    def chip_mean(self, mean, exposure_time: float, scale: float = 1.0):
         """Electrons that this chip is expected to collect, without the dark current all pixels have in common.
 
         mean: of the scene, array of the device, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
@@ -83,15 +83,14 @@ class Readout:
         mean = self.device.reshape(mean, (rows, cols))
         response, dark = self._response(rows, cols), self._dark(rows, cols)
         if response is not None or dark is not None or scale != 1:
-            mean = expect(mean, response, dark, scale=scale, dark_time=self.dark_time(exposure_time),
-                          device=self.device)
+            mean = chip(mean, response, dark, scale=scale, dark_time=self.dark_time(exposure_time), device=self.device)
         return mean if sensor.binning == (1, 1) or self._digital else self._binned(mean)
 
     def defects(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> np.ndarray | None:
         """Where this chip's pixels are dead or hot: 1 there, else 0, NumPy uint8 like the raw values; None: nowhere.
 
         What a calibration of the chip would find, for `processor.defects`. shape: of the mean electrons, see
-        `expected`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
+        `chip_mean`. exposure_time: [s]. Hot are pixels that collect more than `least` [e-] in that time beyond the
         common dark current; at time 0, all that collect any. A binned pixel is defective if one of its pixels is.
         """
         flags = self.flags(shape, exposure_time, least)
@@ -101,8 +100,8 @@ class Readout:
     def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0):
         """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
         rows, cols = prod(shape[:-1]), shape[-1]
-        chip, dark = self.sensor.noise, self._dark(rows, cols)
-        response = self._response(rows, cols) if chip.dead_pixels else None
+        noise_, dark = self.sensor.noise, self._dark(rows, cols)
+        response = self._response(rows, cols) if noise_.dead_pixels else None
         if response is None and dark is None:
             return None
         dark_time = self.dark_time(exposure_time)
@@ -116,17 +115,17 @@ class Readout:
         mean = np.array(self.device.numpy(mean), np.float32)
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
-    def draw(self, expected, exposure_time: float, *, gain: float = 1.0, seed=0, frame=0, frames=None):
-        """Raw values (rows, cols), or (frames, rows, cols), around `expected` electrons (see the method).
+    def draw(self, chip_mean, exposure_time: float, *, gain: float = 1.0, seed=0, frame=0, frames=None):
+        """Raw values (rows, cols), or (frames, rows, cols), around `chip_mean` electrons (see the method).
 
         gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
         Raises DoesNotFit, OutOfRange.
         """
         if frames is not None:
-            needed = int(frames) * prod(expected.shape) * (4 if self.sensor.bits == FLOAT_BITS else 2)
+            needed = int(frames) * prod(chip_mean.shape) * (4 if self.sensor.bits == FLOAT_BITS else 2)
             if needed > self.device.memory:
                 raise DoesNotFit(f"{frames} frames", needed, self.device.memory, self.device.name)
-        raw = self._read(expected, exposure_time, self.operated(gain), sigma=self.operated(gain).read_sigma,
+        raw = self._read(chip_mean, exposure_time, self.operated(gain), sigma=self.operated(gain).read_sigma,
                          photon=self.sensor.noise.photon, seed=seed, frame=frame, frames=frames)
         if not self._digital:
             return raw
@@ -135,14 +134,14 @@ class Readout:
         return self.device.stack([self._binned(self.device.part(raw, number), average=True)
                                   for number in range(raw.shape[0])])
 
-    def average(self, expected, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
+    def average(self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
         if not (count >= 1 and count == int(count)):
             raise OutOfRange("count of averaged frames", count, "a whole number, count >= 1")
         total, kind = 0, np.float64 if self.sensor.bits == FLOAT_BITS else np.uint64
-        batch = max(1, min(BATCH // prod(expected.shape), 2**15, count))
+        batch = max(1, min(BATCH // prod(chip_mean.shape), 2**15, count))
         for start in range(0, count, batch):
-            raw = self.draw(expected, exposure_time, gain=gain, seed=seed, frame=first + start,
+            raw = self.draw(chip_mean, exposure_time, gain=gain, seed=seed, frame=first + start,
                             frames=min(batch, count - start))
             total = total + self.device.numpy(raw).sum(axis=0, dtype=kind)
         return total / count
@@ -150,26 +149,26 @@ class Readout:
     def nondestructive(self, mean, exposure_time: float, times, *, gain: float = 1.0, seed=0, frame=0):
         """Raw values of reads that leave the charge in the pixels, NumPy (reads, rows, cols).
 
-        mean: electrons of `exposure_time` [s], see `expected`. times: of the reads since the reset [s], rising. The
+        mean: electrons of `exposure_time` [s], see `chip_mean`. times: of the reads since the reset [s], rising. The
         reads see one growing charge, photon by photon, and share the reset's noise; each has its own read noise.
         """
         times = self.checked_reads(times)
-        sensor, device, chip = self.operated(gain), self.device, self.sensor.noise
+        sensor, device, noise_ = self.operated(gain), self.device, self.sensor.noise
         common = {"gain": 1.0, "full_well": MOST, "electrons": True, "seed": seed, "frame": frame, "device": device}
         reads, previous = [], 0.0
         charge: Any = np.float32(0)
         for number, time in enumerate(times):
             step = time - previous
-            more = self.expected(mean, step, step / exposure_time)
-            more = noise(more, dark_electrons=self.dark_electrons(step), photon=chip.photon, read=number, **common)
+            more = self.chip_mean(mean, step, step / exposure_time)
+            more = noise(more, dark_electrons=self.dark_electrons(step), photon=noise_.photon, read=number, **common)
             charge = np.minimum(charge + device.numpy(more), np.float32(sensor.full_well))
             if number == 0:
                 reset = np.zeros_like(charge)
-                if chip.reset:
-                    reset = device.numpy(noise(device.array(reset), read_noise=chip.reset, photon="none", read=RESET,
+                if noise_.reset:
+                    reset = device.numpy(noise(device.array(reset), read_noise=noise_.reset, photon="none", read=RESET,
                                                **common))
             # the kernel takes no negative electrons: what the reset leaves below 0 is part of the offset
-            sigma = np.hypot(chip.read, chip.adc / sensor.gain_dn_per_electron)
+            sigma = np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
             raw = self._read(device.array(charge), 0.0, sensor, sigma=float(sigma), photon="none", seed=seed,
                              frame=frame, read=number, offset=reset)
             reads.append(np.array(device.numpy(raw)))
@@ -190,40 +189,41 @@ class Readout:
 
     def models(self) -> dict[str, str]:
         """Stage -> what is modelled; a part that is off has no stage and no name."""
-        sensor, chip = self.sensor, self.sensor.noise
+        sensor, noise_ = self.sensor, self.sensor.noise
         found = {}
         fixed = [name for name, on in (
-            ("PRNU", chip.prnu or chip.row_prnu or chip.column_prnu),
-            ("DSNU", chip.dsnu or chip.row_dsnu or chip.column_dsnu), ("dead pixels", chip.dead_pixels),
-            ("hot pixels", chip.hot_pixels and chip.hot_current),
-            ("traps", chip.telegraph_pixels and chip.telegraph)) if on]
+            ("PRNU", noise_.prnu or noise_.row_prnu or noise_.column_prnu),
+            ("DSNU", noise_.dsnu or noise_.row_dsnu or noise_.column_dsnu), ("dead pixels", noise_.dead_pixels),
+            ("hot pixels", noise_.hot_pixels and noise_.hot_current),
+            ("traps", noise_.telegraph_pixels and noise_.telegraph)) if on]
         if fixed:
-            found["sensor.pattern"] = f"{', '.join(fixed)} of chip {chip.seed}"
+            found["sensor.pattern"] = f"{', '.join(fixed)} of chip {noise_.seed}"
         if {"PRNU", "dead pixels", "hot pixels"} & {*fixed}:
-            found["sensor.expect"] = "mean electrons through this chip's response"
+            found["sensor.chip"] = "mean electrons through this chip's response"
         if sensor.binning != (1, 1):
             found["sensor.bin"] = f"{sensor.binning[0]}x{sensor.binning[1]} pixels by {sensor.binning_mode}"
         temporal = [name for name, on in (
-            (f"photon ({chip.photon})", chip.photon != "none"), ("dark current", chip.dark_current),
-            ("read", chip.read), ("reset", chip.reset), ("converter", chip.adc), ("rows", chip.row),
-            ("columns", chip.column), ("telegraph", "traps" in fixed)) if on]
+            (f"photon ({noise_.photon})", noise_.photon != "none"), ("dark current", noise_.dark_current),
+            ("read", noise_.read), ("reset", noise_.reset), ("converter", noise_.adc), ("rows", noise_.row),
+            ("columns", noise_.column), ("telegraph", "traps" in fixed)) if on]
         converter = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bit"
         found["sensor.noise"] = f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
         return found
 
-    def _read(self, expected, exposure_time, sensor, *, sigma, photon, seed, frame, frames=None, read=0, offset=None):
+    def _read(self, chip_mean, exposure_time, sensor, *, sigma, photon, seed, frame, frames=None, read=0, offset=None):
         """Raw values of the output sensor; offset: added to that of the chip [e-]."""
-        chip, device = sensor.noise, self.device
-        rows, cols = expected.shape
+        noise_, device = sensor.noise, self.device
+        rows, cols = chip_mean.shape
         fixed = amplitude = None
-        if chip.dsnu or chip.row_dsnu or chip.column_dsnu:
-            fixed = self._pattern("offset", rows, cols, pixel=chip.dsnu, row=chip.row_dsnu, column=chip.column_dsnu)
+        if noise_.dsnu or noise_.row_dsnu or noise_.column_dsnu:
+            fixed = self._pattern("offset", rows, cols, pixel=noise_.dsnu, row=noise_.row_dsnu,
+                                  column=noise_.column_dsnu)
         if offset is not None:
             fixed = device.array(offset if fixed is None else offset + device.numpy(fixed))
-        if chip.telegraph_pixels and chip.telegraph:
-            amplitude = self._pattern("telegraph", rows, cols, share=chip.telegraph_pixels, scale=chip.telegraph)
-        return noise(expected, fixed, amplitude, dark_electrons=self.dark_electrons(exposure_time), read_noise=sigma,
-                     row_noise=chip.row, column_noise=chip.column, telegraph_switching=chip.telegraph_switching,
+        if noise_.telegraph_pixels and noise_.telegraph:
+            amplitude = self._pattern("telegraph", rows, cols, share=noise_.telegraph_pixels, scale=noise_.telegraph)
+        return noise(chip_mean, fixed, amplitude, dark_electrons=self.dark_electrons(exposure_time), read_noise=sigma,
+                     row_noise=noise_.row, column_noise=noise_.column, telegraph_switching=noise_.telegraph_switching,
                      full_well=sensor.full_well, gain=sensor.gain_dn_per_electron, black_level=sensor.dark_level,
                      white_level=None if sensor.bits == FLOAT_BITS else sensor.white_level, photon=photon, seed=seed,
                      frame=frame, frames=frames, read=read, device=device)
@@ -242,18 +242,18 @@ class Readout:
 
     def _response(self, rows, cols):
         """Relative response of every pixel, None where all are alike."""
-        chip = self.sensor.noise
-        if not (chip.prnu or chip.row_prnu or chip.column_prnu or chip.dead_pixels):
+        noise_ = self.sensor.noise
+        if not (noise_.prnu or noise_.row_prnu or noise_.column_prnu or noise_.dead_pixels):
             return None
-        return self._pattern("response", rows, cols, mean=1.0, pixel=chip.prnu, row=chip.row_prnu,
-                             column=chip.column_prnu, dead=chip.dead_pixels)
+        return self._pattern("response", rows, cols, mean=1.0, pixel=noise_.prnu, row=noise_.row_prnu,
+                             column=noise_.column_prnu, dead=noise_.dead_pixels)
 
     def _dark(self, rows, cols):
         """Dark current of hot pixels beyond the common one [e- s-1], None where there are none."""
-        chip = self.sensor.noise
-        if not (chip.hot_pixels and chip.hot_current):
+        noise_ = self.sensor.noise
+        if not (noise_.hot_pixels and noise_.hot_current):
             return None
-        return self._pattern("dark", rows, cols, share=chip.hot_pixels, scale=chip.hot_current)
+        return self._pattern("dark", rows, cols, share=noise_.hot_pixels, scale=noise_.hot_current)
 
     def _pattern(self, plane, rows, cols, **parts):
         """A fixed pattern on the device, kept from its first use."""

@@ -18,7 +18,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
 from gpusim.kernels.common.fft import LENGTHS, fft_length
 from gpusim.kernels.optics.mosaic import transform_lengths
-from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.meter import meter
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.planner.facts import Facts
@@ -191,17 +191,17 @@ class Simulator:
     def average(self, exposure: Exposure, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
         """Mean raw values of `count` frames [DN], float64: see `Readout.average`."""
         return exposure.layered(self.readout.average(
-            exposure.expected, exposure.exposure_time, count, gain=exposure.gain, seed=seed, first=first))
+            exposure.chip_mean, exposure.exposure_time, count, gain=exposure.gain, seed=seed, first=first))
 
     def _true_error(self, scene, exposure):
         """Error of the mean electrons against the float64 reference."""
         mean = np.array(self.device.numpy(exposure.mean), np.float32)
-        made, time = exposure.plan, exposure.exposure_time
-        if made.varying is None:
-            truth = true_mean(Simulator, self.camera, scene, made, time)
+        plan, time = exposure.plan, exposure.exposure_time
+        if plan.varying is None:
+            truth = true_mean(Simulator, self.camera, scene, plan, time)
         else:
             pixels = probe_pixels(scene.shape)
-            truth = at_pixels(Simulator, self.camera, scene, made, time, pixels)
+            truth = at_pixels(Simulator, self.camera, scene, plan, time, pixels)
             mean = mean[pixels[:, 0], pixels[:, 1]]
         return Error.between(mean, truth, self.camera.sensor.read_sigma)
 
@@ -273,7 +273,7 @@ class Simulator:
         if held > self.device.memory:
             raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, self.device.memory, self.device.name)
         with self.device.timed() as ms:
-            rates = [self.imaging.exposed(made, self.imaging.rates(made), 1.0) for made in plans]
+            rates = [self.imaging.exposed(plan, self.imaging.rates(plan), 1.0) for plan in plans]
             shape = rates[0].shape
             exposure_time = self.camera.sensor.exposure_time if exposure_time is None else exposure_time
             if exposure_time is None:
@@ -283,8 +283,8 @@ class Simulator:
             stacked = self.device.reshape(self.device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
             mean = shutter(stacked, np.tile(weights, (layers, 1)), device=self.device)
             model = f"{len(scenes)} pictures, rows {1e6 * self.camera.sensor.row_time:g} us apart"
-            made = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
-            exposure = exposed(self, made, self.device.reshape(mean, shape), exposure_time, gain, Kept())
+            plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
+            exposure = exposed(self, plan, self.device.reshape(mean, shape), exposure_time, gain, Kept())
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
     def lengthened(self, exposure: Exposure, exposure_time: float) -> Exposure:
@@ -292,20 +292,20 @@ class Simulator:
         checked_time(exposure_time)
         shape, begun = exposure.mean.shape, perf_counter()
         with self.device.timed() as ms:
-            mean = expect(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
-                          scale=exposure_time / exposure.exposure_time, device=self.device)
+            mean = chip(self.device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),
+                        scale=exposure_time / exposure.exposure_time, device=self.device)
             lengthened = exposed(self, exposure.plan, self.device.reshape(mean, shape), exposure_time, exposure.gain,
                                  Kept())
         return dataclasses.replace(lengthened, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
-        """Raw values around the exposure's expected electrons, an array of the device; equal on all for equal means.
+        """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.
 
         frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
         stacked pixels one below the other.
         """
         with noted(self._drawing.tape):
-            return self.readout.draw(exposure.expected, exposure.exposure_time, gain=exposure.gain, seed=seed,
+            return self.readout.draw(exposure.chip_mean, exposure.exposure_time, gain=exposure.gain, seed=seed,
                                      frame=frame, frames=frames)
 
     def draw_electrons(self, mean, exposure_time: float, *, gain: float = 1.0, seed: int = 0, frame: int = 0,
@@ -319,8 +319,8 @@ class Simulator:
         sensor = self.camera.sensor
         mean = checked_electrons(mean, len(sensor.channels) if sensor.stacked else None)
         self.readout.output_shape(mean.shape[-2:])
-        expected = self.readout.expected(self.device.array(mean), exposure_time)
-        raw = np.array(self.device.numpy(self.readout.draw(expected, exposure_time, gain=gain, seed=seed, frame=frame,
+        chip_mean = self.readout.chip_mean(self.device.array(mean), exposure_time)
+        raw = np.array(self.device.numpy(self.readout.draw(chip_mean, exposure_time, gain=gain, seed=seed, frame=frame,
                                                            frames=frames)))
         return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 

@@ -47,17 +47,17 @@ def probe_pixels(shape) -> np.ndarray:
     return (margin + fractions * (shape - 2 * margin)).astype(int)
 
 
-def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
+def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
     """Mean electrons of every pixel, float64, shape (rows, cols) or, of stacked pixels, (C, rows, cols).
 
-    simulator: the class `Simulator`, which imports this module. made: the plan of the frame. Raises DoesNotFit, before
+    simulator: the class `Simulator`, which imports this module. plan: of the frame. Raises DoesNotFit, before
     anything is allocated.
     """
-    reference = _reference(simulator, camera, scene, made)
+    reference = _reference(simulator, camera, scene, plan)
     own = reference.plan(scene)
     rates, cfa = reference.imaging.rates(own)
     border, tail = rule_of(scene.border), tail_of(camera.optics)
-    if own.gains is not None and border != "reflect" and tail:
+    if own.mix is not None and border != "reflect" and tail:
         light = reference.imaging.light(own)
         light = np.tensordot(own.weights / own.flat * own.q, light, 1)  # of each channel, times q
         rows, cols = (np.arange(scene.margin - own.spare, n - scene.margin + own.spare) for n in light.shape[1:])
@@ -69,32 +69,32 @@ def true_mean(simulator, camera, scene, made, exposure_time) -> np.ndarray:
     return reference.imaging.exposed(own, (rates, cfa), exposure_time)
 
 
-def _reference(simulator, camera, scene, made):
+def _reference(simulator, camera, scene, plan):
     """Simulator in float64 whose transforms are as long as this scene needs."""
-    if made.gains is None:
+    if plan.mix is None:
         return simulator(camera, device="numpy")
     optics, shape = camera.optics, [n + 2 * scene.margin for n in scene.samples]
     spread = spread_radius(optics, scene.wavelengths, camera.sensor.pixel_pitch / scene.samples_per_pixel)
-    reach = ceil(max(made.depth.reach if made.depth else 0, spread)) + 2
+    reach = ceil(max(plan.depth.reach if plan.depth else 0, spread)) + 2
     displaced = ceil(scene.samples_per_pixel * max(map(abs, camera.sensor.displacement)))
     if scene.border == "reflect":
         period = [2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n)) for n in shape]
     else:
         if tail_of(optics):
-            reach = max(RADII * reach, ceil(RINGS * made.q.max()), BLADES_REACH if optics.pupil.blades else REACH)
+            reach = max(RADII * reach, ceil(RINGS * plan.q.max()), BLADES_REACH if optics.pupil.blades else REACH)
         period = [scipy.fft.next_fast_len(n + 2 * (reach + displaced), real=True) for n in shape]
     return simulator(camera, device="numpy", period=tuple(period))
 
 
-def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarray:
+def at_pixels(simulator, camera, scene, plan, exposure_time, pixels) -> np.ndarray:
     """Mean electrons at `pixels` (row, column), float64.
 
-    simulator, made: as for `true_mean`. Each wavelength by itself: the whole frame with the lens as on the axis, and at
+    simulator, plan: as for `true_mean`. Each wavelength by itself: the whole frame with the lens as on the axis, and at
     each pixel the light of all others around it, spread by the difference of their own kernels from that on the axis.
     The scene has one sample per pixel.
     """
     plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
-    reference = _reference(simulator, plain, scene, made)
+    reference = _reference(simulator, plain, scene, plan)
     base = true_mean(simulator, plain, scene, reference.plan(scene), exposure_time)
     rows, cols = scene.shape
     sensor = camera.sensor
@@ -114,7 +114,7 @@ def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarr
     for k, (y, x) in enumerate(pixels):
         channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
         patch = planes[:, margin + y : margin + y + size, margin + x : margin + x + size]
-        patch = np.einsum("l,ln,lij->nij", made.weights[channel], between, patch, optimize=True)
+        patch = np.einsum("l,ln,lij->nij", plan.weights[channel], between, patch, optimize=True)
         total = 0.0
         for dy, along_y in zip(steps, basis, strict=True):
             for dx, along_x in zip(steps, basis, strict=True):
@@ -124,7 +124,7 @@ def at_pixels(simulator, camera, scene, made, exposure_time, pixels) -> np.ndarr
                 kernels = lens.kernels(nodes, np.array(place) / corner, size) - axis
                 # light at s gives its kernel's entry x - s
                 total += np.einsum("nij,nij,i,j->", patch, kernels[:, ::-1, ::-1], along_y, along_x, optimize=True)
-        v, u = (y - (rows - 1) / 2) * made.slope, (x - (cols - 1) / 2) * made.slope
-        falloff = (1 + u * u + v * v) ** -2 * (1.0 if made.gain is None else made.gain[y, x])
+        v, u = (y - (rows - 1) / 2) * plan.slope, (x - (cols - 1) / 2) * plan.slope
+        falloff = (1 + u * u + v * v) ** -2 * (1.0 if plan.falloff is None else plan.falloff[y, x])
         out[k] = base[y, x] + exposure_time * falloff * total
     return out

@@ -13,8 +13,8 @@ RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling al
 
 
 @dataclass(frozen=True, eq=False)
-class WarpGrid:
-    """The inverse mapping of a frame, for the stage `optics.warp`.
+class DistortionGrid:
+    """The inverse mapping of a frame, for the stage `optics.distort`.
 
     nodes: shape (ny, nx, 3): what to add to a pixel's (row, column) index for its place among the source samples, and
         the flux factor, ideal area over distorted area. The nodes divide the frame evenly, the outermost lie on its
@@ -32,7 +32,7 @@ class WarpGrid:
 
     @property
     def method(self) -> str:
-        """Of `optics.warp`: "cubic", or "area" where a pixel has more than `RATIO_TO_REPORT` samples."""
+        """Of `optics.distort`: "cubic", or "area" where a pixel has more than `RATIO_TO_REPORT` samples."""
         return "area" if self.ratio[1] > RATIO_TO_REPORT else "cubic"
 
     @property
@@ -45,7 +45,8 @@ class WarpGrid:
         return line + (f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else "")
 
 
-def warp_grid(distortion: Distortion, shape, pitch, source_shape=None, source_pitch=None, tolerance=1e-3) -> WarpGrid:
+def distortion_grid(distortion: Distortion, shape, pitch, source_shape=None, source_pitch=None,
+                    tolerance=1e-3) -> DistortionGrid:
     """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
 
     source_shape, source_pitch: samples of the undistorted image, centred as well; the same as the frame by default.
@@ -85,7 +86,7 @@ def warp_grid(distortion: Distortion, shape, pitch, source_shape=None, source_pi
                          f"at most {tolerance:g}")
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
-    return WarpGrid(values, error, ratio, float(reach))
+    return DistortionGrid(values, error, ratio, float(reach))
 
 
 def _half_way(cells):

@@ -22,7 +22,13 @@ from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur, choose
 from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.planner.geometry import WarpGrid, microlens_gain, relative_illumination, vignetting_gain, warp_grid
+from gpusim.planner.geometry import (
+    DistortionGrid,
+    distortion_grid,
+    microlens_gain,
+    relative_illumination,
+    vignetting_gain,
+)
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights, split_highlights, unsplit_error
 from gpusim.planner.sampling import (
     AREA,
@@ -61,15 +67,15 @@ class Plan:
     flat: what a flat field of each wavelength gives where every sample is a point of light of 1, shape (L,).
     table: planes from content entries (bands, basis coefficients or materials), shape (planes, entries), or None where
         the content's own planes are used.
-    gains: channels from blurred planes, shape (C, planes); without blur the planes are the channels and it is None.
+    mix: channels from blurred planes, shape (C, planes); without blur the planes are the channels and it is None.
     transfers: weight of each wavelength's transfer function in that of a plane in a channel, shape (C, planes, L), or
         None where each plane is one wavelength.
     content: the scene's, without its highlights. highlights: these, or None.
     varying: what the blur has more than that on the axis, where it varies over the field; else None. The planes are
         then each one channel's, and transfers has the shape (1, planes, L).
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
-    warp: where the lens puts the samples, None: where a pinhole would. gain: of every pixel, shape (rows, cols), where
-        it is more than the cos^4 law of a grid of pixels in the middle.
+    distortion: where the lens puts the samples, None: where a pinhole would.
+    falloff: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
     folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
@@ -89,14 +95,14 @@ class Plan:
     white_rate: np.ndarray | None
     flat: np.ndarray
     table: np.ndarray | None
-    gains: np.ndarray | None
+    mix: np.ndarray | None
     transfers: np.ndarray | None
     content: Content
     highlights: Highlights | None
     varying: FieldBlur | None
     depth: DepthPlan | None
-    warp: WarpGrid | None
-    gain: np.ndarray | None
+    distortion: DistortionGrid | None
+    falloff: np.ndarray | None
     folded: bool
     fft_free: bool
     taps: tuple[Taps, Taps] | None
@@ -141,7 +147,7 @@ class Plan:
         times the mean.
         """
         highest, mean = light[:2]
-        if self.gains is not None and highest > THRESHOLD * mean:
+        if self.mix is not None and highest > THRESHOLD * mean:
             return False
         return drift is None or PREDICTION_FACTOR * drift < (self.limit or np.inf)
 
@@ -261,7 +267,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     stage = "spectral.materials" if content.labels is not None else "spectral.integrate"
     form = content.form
     if not blurred:
-        table, gains, transfers = weights @ spectra.T, None, None
+        table, mix, transfers = weights @ spectra.T, None, None
         models[stage] = f"{form} of {len(spectra)} entries straight to {len(weights)} channels (no blur to apply)"
         left_out.append('diffraction, lateral colour: optics.model is "none"' if np.any(optics.lateral_color_at(nodes))
                         else 'diffraction: optics.model is "none"')
@@ -271,7 +277,7 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         if min(cell) < 1:  # points in the middle of the apertures would count too much of a flat scene
             flat = _tables(transfer_tables, q, cell, 1, ratio, moved)[:, 0, 0].real
         even = weights / flat
-        table, gains, transfers, models[blur] = _exact(content, even, spectra)
+        table, mix, transfers, models[blur] = _exact(content, even, spectra)
         wrong = 0.0
         if optics.varies or limit is not None:
             corner = float(np.hypot(*scene.samples)) / 2
@@ -289,21 +295,21 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
             response = keep("response", (even, tables, sensor.cfa_indices),
                             lambda: Response.of(even, tables, sensor.cfa_indices))
         if optics.varies:
-            inputs, transfers, gains, varying, wrong, models[blur] = _varying(
+            inputs, transfers, mix, varying, wrong, models[blur] = _varying(
                 scene, facts, response, guaranteed, lens, flat, (rows, cols), corner, limit or FIELD_TOLERANCE,
                 fft_length, keep)
             table = inputs @ spectra.T
             models["optics.field"] = varying.report
             predicted["field at the worst place"] = varying.error[1]
         elif limit is not None:
-            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, gains.shape[1], limit, keep)
+            fused = (_guaranteed if guaranteed else _fused)(scene, facts, response, mix.shape[1], limit, keep)
             if fused:
                 inputs, transfers, wrong, models[blur] = fused
                 watch = None if guaranteed else Watch.of(response, inputs, transfers, content)
-                table, gains = inputs @ spectra.T, np.ones(transfers.shape[:2])
+                table, mix = inputs @ spectra.T, np.ones(transfers.shape[:2])
         predicted["relative rms"] = float(np.hypot(wrong, FFT_FREE_ERROR if fft_free else TRANSFORM_ERROR))
     over = f"the pixel{_displaced(moved)}" if ratio == 1 else "each scene sample"
-    if gains is not None:
+    if mix is not None:
         if table is not None:
             models[stage] = f"{form} of {len(spectra)} entries to {len(table)} planes"
         if optics.is_ideal and by_depth is None and not any(moved):
@@ -322,11 +328,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         models["optics.splat"] = f"{len(highlights.places)} highlights added exactly, each with its own spectrum"
         if highlights.residue:
             predicted["local error beside further highlights"] = highlights.residue
-    warp = None
+    distortion = None
     if optics.distortion is not None:
-        seen = scene.samples if gains is None else (rows, cols)
-        warp = warp_grid(optics.distortion, seen, sensor.pixel_pitch / ratio, (rows, cols))
-        models["optics.warp"] = f"distortion: {warp.report}"
+        seen = scene.samples if mix is None else (rows, cols)
+        distortion = distortion_grid(optics.distortion, seen, sensor.pixel_pitch / ratio, (rows, cols))
+        models["optics.distort"] = f"distortion: {distortion.report}"
     slope, falloffs = 0.0, {}
     if optics.relative_illumination == "cos4":
         slope = (2 * np.tan(scene.fov / 2) * ratio / scene.samples[1] if scene.fov
@@ -345,12 +351,12 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
                                                  optics.image_distance, displacement)
     if sensor.vignetting is not None:
         falloffs["pixel vignetting"] = vignetting_gain(sensor.vignetting, scene.shape, displacement)
-    gain = np.prod(list(falloffs.values()), axis=0) if falloffs else None
+    falloff = np.prod(list(falloffs.values()), axis=0) if falloffs else None
     if falloffs:
-        models["optics.gain"] = " and ".join(falloffs)
+        models["optics.falloff"] = " and ".join(falloffs)
     layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
-    models["sensor.expose"] = f"{'cos^4, ' if slope else ''}{layout}"
-    if gains is not None:
+    models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
+    if mix is not None:
         predicted["border"] = border
         if tolerance is None and border > TRANSFORM_ERROR:
             left_out.append(f"the world more than {min(reaches) / ratio:.4g} pixels outside the frame, seen as the "
@@ -362,11 +368,11 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
     share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
     predicted["scene sampling"] = sampling_error(facts.moments(weights), weights, q, share, ratio, aperture, taps,
-                                                 None if gains is None else tables_of, moved)
+                                                 None if mix is None else tables_of, moved)
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
                  *([f"depth: {without}, so the blur is the same at all distances"] if without else [])]
-    needed = _bytes(rows, cols, own_period, content, table, gains, transfers, len(nodes), len(weights),
+    needed = _bytes(rows, cols, own_period, content, table, mix, transfers, len(nodes), len(weights),
                     1 if optics.is_symmetric and not any(moved) else 4)
     if by_depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         needed += 16 * len(weights) * rows * cols * len(by_depth.kernels) * by_depth.layers
@@ -374,9 +380,9 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
         needed += 20 * rows * cols * varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         needed += varying.bytes_of_tiles(fft_length, len(weights))
     white_rate = weights.sum(axis=1) if scene.light_is_known else None
-    return Plan(scene, camera, weights, white_rate, flat, table, gains, transfers, content, highlights, varying,
-                by_depth, warp, gain, folded, fft_free, taps, spare, q, own_period, float(slope), needed, watch, limit,
-                models, left_out, predicted, not_met)
+    return Plan(scene, camera, weights, white_rate, flat, table, mix, transfers, content, highlights, varying,
+                by_depth, distortion, falloff, folded, fft_free, taps, spare, q, own_period, float(slope), needed,
+                watch, limit, models, left_out, predicted, not_met)
 
 
 def _surroundings(outside, lengths, ratio, beside, reach, least, tolerance, level):
@@ -494,7 +500,7 @@ def _plain_axes(scene, ratio, aperture, displacement, _):
 
 
 def _exact(content, weights, spectra):
-    """Table, gains, transfers and description of the plan that treats every band, or every entry, by itself."""
+    """Table, mix, transfers and description of the plan that treats every band, or every entry, by itself."""
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
         table = np.eye(len(spectra)) if content.labels is not None else None
@@ -546,7 +552,7 @@ def _quick_tables(optics, pitch, q, aperture, rows, cols, finer):
 
 
 def _varying(scene, facts, response, guaranteed, lens, flat, shape, corner, limit, fft_length, keep):
-    """Planes, transfers on the axis, gains, field-varying rest, error and description of a blur that varies.
+    """Planes, transfers on the axis, mix, field-varying rest, error and description of a blur that varies.
 
     Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
     kernels share the limit.
@@ -564,17 +570,17 @@ def _varying(scene, facts, response, guaranteed, lens, flat, shape, corner, limi
             error, room = response.error(table, each, own), PREDICTION_FACTOR
         if room * error < limit / 2:
             break
-    gains, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
+    mix, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
     # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
     strength = np.sqrt(np.einsum("kl,lm,km->k", table, own.differences, table))
     whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, own.differences, response.flat))
-    strength = np.maximum(strength / np.maximum(gains.T @ whole, 1e-300), 1e-12)
+    strength = np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12)
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     varying = keep("field plan", (shape, corner, limit, transfers.tobytes(), lens.pitch), lambda: choose(
         Differences(lens, facts.content.wavelengths, transfers * flat, shape, corner, limit / 8), shape,
         limit / 2 / np.sqrt(count), fft_length))
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count)))
-    return table, transfers[None], gains, varying, error, (
+    return table, transfers[None], mix, varying, error, (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
         f"{len(facts.content.wavelengths)} wavelengths")
 
@@ -643,7 +649,7 @@ def _energy_beyond(radius, q):
     return float(j0(v) ** 2 + j1(v) ** 2)
 
 
-def _bytes(rows, cols, period, content, table, gains, transfers, bands, channels, parts):
+def _bytes(rows, cols, period, content, table, mix, transfers, bands, channels, parts):
     """Device memory of a frame [byte], the arrays that live at the same time added up.
 
     parts: size of a transfer table over that of a real quarter.
@@ -651,8 +657,8 @@ def _bytes(rows, cols, period, content, table, gains, transfers, bands, channels
     frame, padded = rows * cols, prod(period)
     quarter = (period[0] // 2 + 1) * (period[1] // 2 + 1)
     total = content.nbytes + frame * (4 * channels + 4 + 2 + 12 + 3)
-    if gains is not None:
-        planes = gains.shape[1]
+    if mix is not None:
+        planes = mix.shape[1]
         total += 4 * frame * (planes if table is not None else 0)
         total += 4 * parts * quarter * (bands + (channels * planes if transfers is not None else 0))
         total += 8 * padded * (2 * min(planes, 8) + 2 * channels)  # spectra and scratch, sums and their inverse

@@ -10,19 +10,19 @@ NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
 INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
 
 
-def relative_response(made: Plan) -> np.ndarray:
+def relative_response(plan: Plan) -> np.ndarray:
     """What a flat scene gives at every pixel over that on the axis, float64 (rows, cols).
 
     Relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
     """
-    response = np.ones(made.scene.shape)
-    if made.slope:
-        response *= relative_illumination("cos4", made.scene.shape, made.slope, 1.0)
-    if made.gain is not None:
-        response *= made.gain
-    if made.warp is not None:
-        flux = made.warp.nodes[..., 2]
-        along_y, along_x = map(_cubics, flux.shape, made.scene.shape)
+    response = np.ones(plan.scene.shape)
+    if plan.slope:
+        response *= relative_illumination("cos4", plan.scene.shape, plan.slope, 1.0)
+    if plan.falloff is not None:
+        response *= plan.falloff
+    if plan.distortion is not None:
+        flux = plan.distortion.nodes[..., 2]
+        along_y, along_x = map(_cubics, flux.shape, plan.scene.shape)
         response *= along_y @ flux @ along_x.T
     return response
 
@@ -102,7 +102,7 @@ def _at(values, places, pixels):
 
 
 def _cubics(count, pixels):
-    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.warp`, shape (pixels, count)."""
+    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.distort`, shape (pixels, count)."""
     place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
     first = np.clip(place.astype(int) - 1, 0, count - 4)
     weights = np.zeros((pixels, count))

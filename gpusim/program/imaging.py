@@ -10,14 +10,14 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.field import field, transfer
-from gpusim.kernels.optics.gain import gain
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
-from gpusim.kernels.optics.warp import warp
-from gpusim.kernels.sensor.expose import expose
+from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.widen import widen
@@ -36,25 +36,25 @@ class Imaging:
         self.camera, self.device, self._kept = camera, device, kept
         self.tables = LensTables(camera, device, kept)
 
-    def light(self, made: Plan):
+    def light(self, plan: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
-        table = None if made.content.is_spectral else made.content.entry_spectra.T
-        return self._warped(made, self.planes(table, self.stored(made.content)))
+        table = None if plan.content.is_spectral else plan.content.entry_spectra.T
+        return self._distorted(plan, self.planes(table, self.stored(plan.content)))
 
-    def _warped(self, made: Plan, planes):
+    def _distorted(self, plan: Plan, planes):
         """Planes as the distortion puts them."""
-        if made.warp is None:
+        if plan.distortion is None:
             return planes
-        shape = made.scene.samples if made.gains is None else planes.shape[1:]
-        border = "edge" if made.scene.border == "scene" else made.scene.border
-        return warp(planes, made.warp.nodes[None].astype(np.float32), shape, border, made.warp.method,
-                    device=self.device)
+        shape = plan.scene.samples if plan.mix is None else planes.shape[1:]
+        border = "edge" if plan.scene.border == "scene" else plan.scene.border
+        return distort(planes, plan.distortion.nodes[None].astype(np.float32), shape, border, plan.distortion.method,
+                       device=self.device)
 
-    def window(self, made: Plan):
+    def window(self, plan: Plan):
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
-        margin = made.scene.margin
+        margin = plan.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin or None) if made.gains is None and made.warp is None else slice(None)
+        inside = slice(margin, -margin or None) if plan.mix is None and plan.distortion is None else slice(None)
         return inside, inside
 
     def stored(self, content, window=WHOLE):
@@ -78,78 +78,78 @@ class Imaging:
             return widen(entries, device=self.device) if type_of(entries) == np.float16 else entries
         return integrate(entries, self.device.array(table), device=self.device)
 
-    def rates(self, made: Plan, planes=None):
+    def rates(self, plan: Plan, planes=None):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
 
         planes: of the scene, before the blur, where they are known.
         """
         device, cfa = self.device, self.camera.sensor.cfa_indices
-        if made.gains is None or (not made.folded and (made.highlights is None or made.taps is not None)):
-            return self.channels(made, planes), cfa
-        planes = self._before(made, planes)
-        if made.folded:
-            rates = mosaic(planes, self.tables.transfer(made), made.gains, cfa, self._border(made), made.period,
-                           margin=made.scene.margin, device=device)
+        if plan.mix is None or (not plan.folded and (plan.highlights is None or plan.taps is not None)):
+            return self.channels(plan, planes), cfa
+        planes = self._before(plan, planes)
+        if plan.folded:
+            rates = mosaic(planes, self.tables.transfer(plan), plan.mix, cfa, self._border(plan), plan.period,
+                           margin=plan.scene.margin, device=device)
         else:
-            rates = expose(self._blurred(made, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
-        if made.highlights is not None:
-            rates = self._with_highlights(made, rates, cfa)
+            rates = collect(self._blurred(plan, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
+        if plan.highlights is not None:
+            rates = self._with_highlights(plan, rates, cfa)
         return device.reshape(rates, (1, *rates.shape)), np.zeros((1, 1), np.int32)
 
-    def channels(self, made: Plan, planes=None):
+    def channels(self, plan: Plan, planes=None):
         """What every pixel would get in every channel, before any fall-off: electrons per second (C, rows, cols).
 
         planes: as for `rates`.
         """
-        planes, margin = self._before(made, planes), made.scene.margin
-        if made.gains is None:
-            if margin and made.warp is None and tuple(planes.shape[1:]) != made.scene.samples:
+        planes, margin = self._before(plan, planes), plan.scene.margin
+        if plan.mix is None:
+            if margin and plan.distortion is None and tuple(planes.shape[1:]) != plan.scene.samples:
                 planes = self._inside(planes, margin)
-            return self.pixels(made, planes)
-        channels = self._blurred(made, planes)
-        return self.pixels(made, channels if made.highlights is None else self._with_highlights(made, channels, None))
+            return self.pixels(plan, planes)
+        channels = self._blurred(plan, planes)
+        return self.pixels(plan, channels if plan.highlights is None else self._with_highlights(plan, channels, None))
 
-    def spectral(self, made: Plan) -> Plan:
+    def spectral(self, plan: Plan) -> Plan:
         """The plan whose channels are the wavelengths, each the irradiance [photon s-1 m-2 nm-1].
 
         Raises BadData for a blur that varies over the field: its kernels are those of the plan's planes.
         """
-        if made.varying is not None:
-            raise BadData(f"irradiance of {made.scene.name}: the blur of {self.camera.name} varies over the field; "
+        if plan.varying is not None:
+            raise BadData(f"irradiance of {plan.scene.name}: the blur of {self.camera.name} varies over the field; "
                           'wanted optics that are the same all over the frame, or the output "electrons"')
-        nodes, optics = made.scene.wavelengths, self.camera.optics
-        scale = made.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
-        table = None if made.content.is_spectral else made.content.entry_spectra.T
-        if made.gains is None:
+        nodes, optics = plan.scene.wavelengths, self.camera.optics
+        scale = plan.scene.illuminant.at(nodes) * optics.transmission_at(nodes) * optics.irradiance_factor
+        table = None if plan.content.is_spectral else plan.content.entry_spectra.T
+        if plan.mix is None:
             weighted = np.diag(scale) if table is None else scale[:, None] * table
-            return replace(made, weights=np.diag(scale), table=weighted)
-        return replace(made, weights=np.diag(scale), gains=np.diag(scale / made.flat), table=table, transfers=None,
+            return replace(plan, weights=np.diag(scale), table=weighted)
+        return replace(plan, weights=np.diag(scale), mix=np.diag(scale / plan.flat), table=table, transfers=None,
                        folded=False)
 
     @staticmethod
-    def _border(made):
-        return "edge" if made.scene.border == "scene" else made.scene.border
+    def _border(plan):
+        return "edge" if plan.scene.border == "scene" else plan.scene.border
 
-    def _before(self, made, planes):
+    def _before(self, plan, planes):
         """Planes before the blur where the lens puts them."""
         if planes is None:
-            planes = self.planes(made.table, self.stored(made.content, self.window(made)))
-        return self._warped(made, planes)
+            planes = self.planes(plan.table, self.stored(plan.content, self.window(plan)))
+        return self._distorted(plan, planes)
 
-    def _blurred(self, made, planes):
+    def _blurred(self, plan, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""
-        device, border, margin = self.device, self._border(made), made.scene.margin
+        device, border, margin = self.device, self._border(plan), plan.scene.margin
         # spare samples around the scene's own: the crop of the blur begins outside of them
-        if made.fft_free:
-            rates = nearfar(planes, self.tables.levels(made), made.gains, border, device=device)
+        if plan.fft_free:
+            rates = nearfar(planes, self.tables.levels(plan), plan.mix, border, device=device)
             if margin:
                 rates = self._inside(rates, margin)
-        elif made.depth is None:
-            rates = blur(planes, self.tables.transfer(made), made.gains, border, made.period,
-                         margin=margin - made.spare, device=device)
+        elif plan.depth is None:
+            rates = blur(planes, self.tables.transfer(plan), plan.mix, border, plan.period,
+                         margin=margin - plan.spare, device=device)
         else:
-            rates = self._by_depth(made, planes, border)
-        return rates if made.varying is None else self._with_field(made, planes, rates, border)
+            rates = self._by_depth(plan, planes, border)
+        return rates if plan.varying is None else self._with_field(plan, planes, rates, border)
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""
@@ -157,62 +157,62 @@ class Imaging:
         weights = [np.ones((len(start), 1), np.float32) for start in starts]
         return sample(planes, starts[0], weights[0], starts[1], weights[1], device=self.device)
 
-    def _by_depth(self, made: Plan, planes, border):
+    def _by_depth(self, plan: Plan, planes, border):
         """The channels, each point blurred as its distance demands, nearer layers laid over farther ones.
 
         A layer's coverage is blurred in each channel by the kernel of white in the scene's light: that is what the
         channel sees of a wavelength's kernel. Things go on outside the frame even where no light comes from there.
         """
-        depth, device, margin = made.depth, self.device, made.scene.margin - made.spare
+        depth, device, margin = plan.depth, self.device, plan.scene.margin - plan.spare
         assert depth is not None
-        channels = len(made.weights)
-        white = made.weights / np.maximum(made.weights.sum(axis=1, keepdims=True), 1e-300)
+        channels = len(plan.weights)
+        white = plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300)
         lights, alphas, layers = [], [], []
         for layer in range(depth.layers):
-            content, coverage, confusion = depth.sheet(layer, made.content)
-            own = planes if content is made.content else self.planes(made.table, self.stored(content))
+            content, coverage, confusion = depth.sheet(layer, plan.content)
+            own = planes if content is plan.content else self.planes(plan.table, self.stored(content))
             for kernel, share in depth.shares(coverage, confusion):
-                bands = self.tables.all_bands(made, depth.distances[kernel])
+                bands = self.tables.all_bands(plan, depth.distances[kernel])
                 share = device.array(share[None])
-                light = blur(gain(own, share, device=device), self.tables.combined(made, bands), made.gains, border,
-                             made.period, margin=margin, device=device)
+                light = blur(falloff(own, share, device=device), self.tables.combined(plan, bands), plan.mix, border,
+                             plan.period, margin=margin, device=device)
                 cover = integrate(bands, device.array(white), device=device)
                 cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
                 alpha = blur(share, cover, np.ones((channels, 1), np.float32), "edge" if border == "zero" else border,
-                             made.period, margin=margin, device=device)
+                             plan.period, margin=margin, device=device)
                 lights.append(light)
                 alphas.append(alpha)
                 layers.append(layer)
         return composite(device.stack(lights), device.stack(alphas), layers, device=device)
 
-    def _with_field(self, made: Plan, planes, rates, border):
+    def _with_field(self, plan: Plan, planes, rates, border):
         """The channels blurred as on the axis, with what the blur is more elsewhere."""
-        assert made.varying is not None
-        varying = made.varying
+        assert plan.varying is not None
+        varying = plan.varying
         inputs, tables = self._kept("field", (varying.kernels, *varying.edges), lambda: (
             {name: value if name in ("edges", "index") else self.device.array(value)  # those are read on the host
              for name, value in varying.stage_inputs.items()},
             transfer(self.device, varying.kernels, varying.edges)))
-        return field(planes, gains=made.gains, border=border, margin=made.scene.margin - made.spare, base=rates,
+        return field(planes, mix=plan.mix, border=border, margin=plan.scene.margin - plan.spare, base=rates,
                      tables=tables, device=self.device, **inputs)
 
-    def pixels(self, made: Plan, rates):
+    def pixels(self, plan: Plan, rates):
         """Channels at the pixels from channels at the scene's samples."""
-        if made.taps is None:
+        if plan.taps is None:
             return rates
-        rows, cols = made.taps
+        rows, cols = plan.taps
         return sample(rates, rows.start, rows.weights, cols.start, cols.weights, device=self.device)
 
-    def _with_highlights(self, made: Plan, rates, cfa):
+    def _with_highlights(self, plan: Plan, rates, cfa):
         """The mosaic, or every channel of the samples, with the plan's highlights added."""
-        lights, device = made.highlights, self.device
+        lights, device = plan.highlights, self.device
         assert lights is not None
         reach = int(lights.reach.max())
-        aperture, _ = self.tables.grid(made.scene.samples_per_pixel)[1]  # highlights are split off for squares only
-        kernels = self._kept("points", (made.q, aperture, reach), lambda: point_kernels(made.q, aperture, reach))
-        weights = lights.spectra[:, None] * (made.weights / made.flat)  # (kernels, channels, L)
+        aperture, _ = self.tables.grid(plan.scene.samples_per_pixel)[1]  # highlights are split off for squares only
+        kernels = self._kept("points", (plan.q, aperture, reach), lambda: point_kernels(plan.q, aperture, reach))
+        weights = lights.spectra[:, None] * (plan.weights / plan.flat)  # (kernels, channels, L)
         cores, profiles = np.tensordot(weights, kernels.cores, 1), np.tensordot(weights, kernels.profiles, 1)
-        places = np.column_stack([lights.places + made.spare, lights.light, lights.reach]).astype(np.int32)
+        places = np.column_stack([lights.places + plan.spare, lights.light, lights.reach]).astype(np.int32)
         shape = kernels.step, kernels.parts, kernels.spread
         if cfa is None:
             return device.stack([splat(device.part(rates, c), np.zeros((1, 1), np.int32), places, lights.strength,
@@ -221,21 +221,21 @@ class Imaging:
         return splat(rates, device.array(cfa, np.int32), device.array(places, np.int32),
                      device.array(lights.strength), device.array(cores), device.array(profiles), *shape, device=device)
 
-    def exposed(self, made: Plan, rates, exposure_time):
+    def exposed(self, plan: Plan, rates, exposure_time):
         """Mean electrons (rows, cols) or, of stacked pixels, (C, rows, cols)."""
         planes, cfa = rates
         if self.camera.sensor.stacked:
-            return self.collected(made, planes, exposure_time)
-        return expose(self._dimmed(made, planes), cfa, exposure_time, made.slope, device=self.device)
+            return self.collected(plan, planes, exposure_time)
+        return collect(self._dimmed(plan, planes), cfa, exposure_time, plan.slope, device=self.device)
 
-    def collected(self, made: Plan, channels, exposure_time):
+    def collected(self, plan: Plan, channels, exposure_time):
         """Every channel (C, rows, cols) with its fall-off, times the exposure time [s]."""
-        channels = self._dimmed(made, channels)
-        return self.device.stack([expose(channels, np.full((1, 1), channel, np.int32), exposure_time, made.slope,
-                                         device=self.device) for channel in range(channels.shape[0])])
+        channels = self._dimmed(plan, channels)
+        return self.device.stack([collect(channels, np.full((1, 1), channel, np.int32), exposure_time, plan.slope,
+                                          device=self.device) for channel in range(channels.shape[0])])
 
-    def _dimmed(self, made, planes):
+    def _dimmed(self, plan, planes):
         """Planes by what the light loses beyond the cos^4 law."""
-        if made.gain is None:
+        if plan.falloff is None:
             return planes
-        return gain(planes, self.device.array(made.gain[None]), device=self.device)
+        return falloff(planes, self.device.array(plan.falloff[None]), device=self.device)

@@ -8,7 +8,7 @@ OUTPUTS = {
                   "[photon s-1 m-2 nm-1]",
     "electrons": "mean electrons that every pixel would collect in every channel (C, rows, cols) [e-]",
     "mean": "mean electrons of every pixel (rows, cols), or of stacked pixels (C, rows, cols) [e-]",
-    "expected": "the same of this very chip, binned where charge is [e-]",
+    "chip_mean": "the same of this very chip, binned where charge is [e-]",
     "raw": "digital numbers (rows, cols), layers of stacked pixels one below the other [DN]",
     "camera": "camera values of every pixel, demosaicked (C, rows, cols), white level 1",
     "linear": "linear display RGB before clipping and tone curve (3, rows, cols), display white 1",
@@ -22,7 +22,7 @@ def output_of(program, name, seed, frame):
     if name in ("irradiance", "electrons"):
         return _optical(program, name)
     shots = program.shots
-    if name in ("mean", "expected"):
+    if name in ("mean", "chip_mean"):
         return getattr(shots.exposure, name)
     raw = shots.raw(seed, frame)
     if name == "raw":

@@ -12,8 +12,8 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.frame import Exposure, Frame
-from gpusim.kernels.sensor.expect import retime as reexpect
-from gpusim.kernels.sensor.expose import retime as reexpose
+from gpusim.kernels.sensor.chip import retime as retime_chip
+from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
@@ -199,7 +199,7 @@ class Program:
         if not is_same or (self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None):
             return None  # it may be metered
         self.judge()
-        if self.before.plan is None or not self.kept.refill("mean", "expected"):
+        if self.before.plan is None or not self.kept.refill("mean", "chip_mean"):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
@@ -210,10 +210,10 @@ class Program:
         """The exposure of electrons per second."""
         simulator, kept, plan, rates = self.simulator, self.kept, made.plan, made.rates
         of = kept.one(rates[0]), One(plan)
-        seconds, gain = self._operated(of, lambda: self.before.kept("per second", of, lambda: simulator.imaging.exposed(
-            plan, rates, 1.0)))
+        seconds, gain = self._operated(of, lambda: self.before.kept("per second", of, lambda: (
+            simulator.imaging.exposed(plan, rates, 1.0))))
         mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
-                    lambda tape: reexpose(tape, seconds))
+                    lambda tape: retime_collect(tape, seconds))
         if plan.scene is not self.scene or self.meters_late:
             looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
             if not same(self._looked, looked):
@@ -306,14 +306,14 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
     camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
         simulator.camera, sensor=readout.operated(gain)))
-    of = kept.one(mean), readout.chip, sensor.cfa, seconds
-    expected = kept("expected", of, lambda: readout.expected(mean, seconds),
-                    lambda tape: reexpect(tape, readout.dark_time(seconds)))
-    gains = None
+    of = kept.one(mean), readout.response_key, sensor.cfa, seconds
+    chip_mean = kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
+                     lambda tape: retime_chip(tape, readout.dark_time(seconds)))
+    shading = None
     if processor.shading:
-        falls = (plan.scene.shape, plan.slope, plan.gain, None if plan.warp is None else plan.warp.nodes, sensor.cfa,
-                 sensor.binning, sensor.binning_mode)
-        gains = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
+        nodes = None if plan.distortion is None else plan.distortion.nodes
+        falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
+        shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
     operated = camera.sensor
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
               sensor.channels, sensor.stacked, operated.saturation, operated.gain_dn_per_electron,
@@ -321,7 +321,7 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
               seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, expected, seconds, gain, colored, blur, gains, device=simulator.device)
+    return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, shading, device=simulator.device)
 
 
 def _shading(simulator, plan):

@@ -36,10 +36,10 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        seconds, expected = exposure.exposure_time, self._kept.one(exposure.expected)
-        of = expected, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
+        seconds, chip_mean = exposure.exposure_time, self._kept.one(exposure.chip_mean)
+        of = chip_mean, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
         return self._kept("raw", of, lambda: readout.draw(
-            exposure.expected, seconds, gain=exposure.gain, seed=seed, frame=frame),
+            exposure.chip_mean, seconds, gain=exposure.gain, seed=seed, frame=frame),
             lambda tape: redraw(tape, seed, frame, readout.dark_electrons(seconds)))
 
     @property
@@ -69,11 +69,11 @@ class Shots:
     def planes(self, raw):
         """Camera values of every pixel, (C, rows, cols): see `Developer.demosaicked`."""
         exposure, processor, known = self.exposure, self.exposure.camera.processor, self.defects
-        white, gains, blur = exposure.rendering.neutral, exposure.gains, exposure.blur
-        asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, gains, blur
+        white, shading, blur = exposure.rendering.neutral, exposure.shading, exposure.blur
+        asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, shading, blur
         of = self._kept.one(raw), self._kept.one(known), exposure.camera.sensor, self.simulator.readout.averaged
         return self._kept("camera planes", (*of, *asked), lambda: self.developer.demosaicked(
-            raw, white=white, known=known, gains=gains, blur=blur))
+            raw, white=white, known=known, shading=shading, blur=blur))
 
     def linear(self, raw):
         """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""
@@ -112,7 +112,7 @@ class Shots:
         times = {**exposure.ms, **ms} if first else ms
         return Frame(exposure.camera, exposure.exposure_time, rendering, mean, exposure.layered(raw), shown, rgb,
                      self._report(rendering, times, wall, seed, frame, error), exposure.blur,
-                     None if exposure.gains is None else np.array(exposure.gains))
+                     None if exposure.shading is None else np.array(exposure.shading))
 
     def _mean(self):
         exposure, shape = self.exposure, self.exposure.mean.shape

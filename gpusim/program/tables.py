@@ -39,28 +39,28 @@ class LensTables:
         return (sensor.pixel_pitch / samples_per_pixel,
                 tuple(side / sensor.pixel_pitch for side in sensor.aperture) if samples_per_pixel == 1 else (1.0, 1.0))
 
-    def transfer(self, made: Plan):
+    def transfer(self, plan: Plan):
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
-        assert made.gains is not None  # a plan with blur
-        name = f"transfer {made.gains.shape}"  # those of its wavelengths beside those of a plan
-        return self._kept(name, self._key(made), lambda: self.combined(made, self.all_bands(made)))
+        assert plan.mix is not None  # a plan with blur
+        name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
+        return self._kept(name, self._key(plan), lambda: self.combined(plan, self.all_bands(plan)))
 
-    def _key(self, made):
+    def _key(self, plan):
         """What the tables of a plan are made of."""
-        return (self._lens, made.q, self.grid(made.scene.samples_per_pixel), made.period, made.gains.shape,
-                made.transfers)
+        return (self._lens, plan.q, self.grid(plan.scene.samples_per_pixel), plan.period, plan.mix.shape,
+                plan.transfers)
 
-    def levels(self, made: Plan):
+    def levels(self, plan: Plan):
         """The plan's kernels as pyramids."""
-        reach = min(FFT_FREE_REACH, max(made.scene.samples))
+        reach = min(FFT_FREE_REACH, max(plan.scene.samples))
         period = (2 * reach + 2,) * 2
 
         def pyramids():
-            bands = self.bands(made.q, *self.grid(made.scene.samples_per_pixel), *period, self.device)
-            tables = self.device.numpy(self.combined(made, bands))
+            bands = self.bands(plan.q, *self.grid(plan.scene.samples_per_pixel), *period, self.device)
+            tables = self.device.numpy(self.combined(plan, bands))
             return levels_of([[kernel_of(table, period, reach) for table in group] for group in tables])
 
-        return self._kept("levels", (reach, *self._key(made)), pyramids)
+        return self._kept("levels", (reach, *self._key(plan)), pyramids)
 
     def bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True, displacement=None):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
@@ -84,16 +84,16 @@ class LensTables:
                      spots=tuple(length / pitch for length in optics.birefringence), diffuser=optics.diffuser / pitch,
                      displacement=displacement)
 
-    def all_bands(self, made: Plan, distance=None):
+    def all_bands(self, plan: Plan, distance=None):
         """Transfer tables of every wavelength of a plan, as the stages take them."""
-        (pitch, aperture), (rows, cols) = self.grid(made.scene.samples_per_pixel), made.period
-        return self.bands(made.q, pitch, aperture, rows, cols, self.device, distance)
+        (pitch, aperture), (rows, cols) = self.grid(plan.scene.samples_per_pixel), plan.period
+        return self.bands(plan.q, pitch, aperture, rows, cols, self.device, distance)
 
-    def deviation(self, made: Plan) -> float:
+    def deviation(self, plan: Plan) -> float:
         """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
-        if made.gains is None:
+        if plan.mix is None:
             return 0.0
-        sensor, q = self.camera.sensor, made.q / made.scene.samples_per_pixel
+        sensor, q = self.camera.sensor, plan.q / plan.scene.samples_per_pixel
         aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
 
         def deviation():
@@ -102,18 +102,18 @@ class LensTables:
                                            open_device("numpy"), whole=False, displacement=(0.0, 0.0)))
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
                 tables = np.ascontiguousarray(tables).view(np.result_type(tables.dtype, np.complex64))
-            light = made.weights.sum(axis=0)
+            light = plan.weights.sum(axis=0)
             passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
                       for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]
             return float(np.sqrt(-2 * np.log(np.clip(np.mean(passed), 1e-6, 1))) / (2 * np.pi / 4))
 
-        return self._kept("deviation", (self._lens, q, made.weights), deviation)
+        return self._kept("deviation", (self._lens, q, plan.weights), deviation)
 
-    def combined(self, made, bands):
+    def combined(self, plan, bands):
         """Transfer tables of the plan's planes from those of its wavelengths."""
         device = self.device
-        if made.transfers is None:
+        if plan.transfers is None:
             return device.reshape(bands, (1, *bands.shape))
-        channels, planes, count = made.transfers.shape
-        tables = integrate(bands, device.array(made.transfers.reshape(channels * planes, count)), device=device)
+        channels, planes, count = plan.transfers.shape
+        tables = integrate(bands, device.array(plan.transfers.reshape(channels * planes, count)), device=device)
         return device.reshape(tables, (channels, planes, *bands.shape[1:]))

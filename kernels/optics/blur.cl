@@ -6,7 +6,7 @@ __kernel void accumulate(
     // in:
     __global const float2 *restrict spectra,  // [SIZE][period_y][pitch]
     __global const float *restrict tables,    // [1 or CHANNELS][count][period_y / 2 + 1][half]
-    __constant float *gains,                  // [CHANNELS][SIZE]
+    __constant float *mix,                    // [CHANNELS][SIZE]
     // out:
     __global float2 *restrict sums,           // [CHANNELS][period_y][pitch]
     // params:
@@ -26,7 +26,7 @@ __kernel void accumulate(
         const float2 value = spectra[k * plane + at];
 #pragma unroll
         for (int c = 0; c < CHANNELS; ++c)
-            total[c] += gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + fold] * value;
+            total[c] += mix[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + fold] * value;
     }
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) sums[c * plane + at] = total[c];
@@ -37,7 +37,7 @@ __kernel void accumulate_complex(
     // in:
     __global const float2 *restrict spectra,  // [SIZE][period_y][pitch]
     __global const float2 *restrict tables,   // [1 or CHANNELS][count][period_y][half]
-    __constant float *gains,                  // [CHANNELS][SIZE]
+    __constant float *mix,                    // [CHANNELS][SIZE]
     // out:
     __global float2 *restrict sums,           // [CHANNELS][period_y][pitch]
     // params:
@@ -57,7 +57,7 @@ __kernel void accumulate_complex(
         const float2 value = spectra[k * plane + at];
 #pragma unroll
         for (int c = 0; c < CHANNELS; ++c) {
-            const float2 transfer = gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * table + place];
+            const float2 transfer = mix[c * SIZE + k] * tables[(own_tables * c * count + first + k) * table + place];
             total[c] += (float2)(transfer.x * value.x - transfer.y * value.y,
                                  transfer.x * value.y + transfer.y * value.x);
         }

@@ -1,9 +1,9 @@
 """Blur of every plane by its own transfer function, summed into channels: the exact per-band form.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], gains (channels, planes) float32
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], mix (channels, planes) float32
 -> channels (channels, rows, cols) float32:
 
-    e_c = sum over k of  gains[c, k] (planes_k * kernel_k),
+    e_c = sum over k of  mix[c, k] (planes_k * kernel_k),
 
 kernel_k given by its transfer function, tables[0, k] for every channel or tables[c, k] for each its own: a quarter,
 (period_y // 2 + 1, period_x // 2 + 1), for kernels that are even along both axes, whose transfer is real; a half,
@@ -22,12 +22,12 @@ BATCH = 8  # planes transformed at once: the sums are read and written once per 
 
 
 @stage
-def blur(device, planes, tables, gains, border, period, margin=0):
+def blur(device, planes, tables, mix, border, period, margin=0):
     """Convolve each plane with its kernel and add up per channel.
 
     planes: shape (planes, rows, cols). tables: shape (1 or channels, planes, period[0] // 2 + 1, period[1] // 2 + 1) or
     (1 or channels, planes, period[0], 2 (period[1] // 2 + 1)), entry (i, j) at the frequency (i / period[0],
-    j / period[1]) cycles per pixel. gains: shape (channels, planes).
+    j / period[1]) cycles per pixel. mix: shape (channels, planes).
     border: "zero", "edge" or "reflect" (the outermost pixel is repeated); a scene with surroundings of its own passes
     them in `planes`. period: transform lengths, at least
     (rows, cols). margin: pixels of the planes on each side that are surroundings and not in the result.
@@ -35,8 +35,8 @@ def blur(device, planes, tables, gains, border, period, margin=0):
     """
     count, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
-    gains = np.asarray(device.numpy(gains), np.float32)  # cut into batches on the host
-    channels = len(gains)
+    mix = np.asarray(device.numpy(mix), np.float32)  # cut into batches on the host
+    channels = len(mix)
     own_tables = int(tables.shape[0] > 1)
     before = tuple((length - size) // 2 for length, size in zip(period, (rows, cols), strict=True))
     sums = None
@@ -46,7 +46,7 @@ def blur(device, planes, tables, gains, border, period, margin=0):
         pitch, half = spectra.shape[2], period[1] // 2 + 1
         if sums is None:
             sums = device.empty((channels, period[0], pitch, 2))
-        some = device.array(gains[:, first : first + size])
+        some = device.array(mix[:, first : first + size])
         arguments = (int(first == 0), first, count, own_tables,
                      *(() if device.kind == "opencl" else (size, channels)), period[0], half, pitch)
         defines = {"SIZE": size, "CHANNELS": channels}
@@ -87,7 +87,7 @@ def cases():
         planes[0, rows // 2, cols // 2] = 1e6
         yield Case(f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
                    {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32),
-                    "gains": random.random((channels, count)).astype(np.float32), "border": border, "period": period,
+                    "mix": random.random((channels, count)).astype(np.float32), "border": border, "period": period,
                     "margin": margin}, 2.4e-6, why)
 
 
@@ -97,4 +97,4 @@ def bench(rows, cols):
     period = (fft.fft_length(rows + 128), fft.fft_length(cols + 128))
     return {"planes": random.random((31, rows, cols), np.float32),
             "tables": random.random((1, 31, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "gains": random.random((3, 31), np.float32), "border": "edge", "period": period}
+            "mix": random.random((3, 31), np.float32), "border": "edge", "period": period}

@@ -1,22 +1,22 @@
-"""e_c = sum_k gains[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, one complex transform per plane."""
+"""e_c = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, one complex transform per plane."""
 
 import numpy as np
 
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def blur(planes, tables, gains, border, period, margin=0):
+def blur(planes, tables, mix, border, period, margin=0):
     """See the contract; `H_ck` is the quarter or half table unfolded over all frequencies, one at a time."""
     count, rows, cols = planes.shape
     more = np.array(period) - (rows, cols)
     pad = [(m // 2, m - m // 2) for m in more]
-    sums = np.zeros((len(gains), *period), complex)
+    sums = np.zeros((len(mix), *period), complex)
     for k in range(count):
         spectrum = np.fft.fft2(np.pad(np.asarray(planes[k], np.float64), pad, mode=MODES[border]))
-        for c, gain in enumerate(np.asarray(gains, np.float64)):
+        for c, weights in enumerate(np.asarray(mix, np.float64)):
             if c < len(tables):
                 whole = _unfolded(np.asarray(tables[c, k], np.float64), period)
-            sums[c] += gain[k] * whole * spectrum
+            sums[c] += weights[k] * whole * spectrum
     blurred = np.fft.ifft2(sums).real
     y, x = pad[0][0] + margin, pad[1][0] + margin
     return blurred[:, y : y + rows - 2 * margin, x : x + cols - 2 * margin]

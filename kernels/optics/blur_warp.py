@@ -11,7 +11,7 @@ def accumulate(
     # in:
     spectra: wp.array4d[float],
     tables: wp.array4d[float],
-    gains: wp.array2d[float],
+    mix: wp.array2d[float],
     # out:
     sums: wp.array4d[float],
     # params:
@@ -33,7 +33,7 @@ def accumulate(
         if is_first == 0:
             total = wp.vec2(sums[c, y, x, 0], sums[c, y, x, 1])
         for k in range(size):
-            weight = gains[c, k] * tables[own_tables * c, first + k, fold, x]
+            weight = mix[c, k] * tables[own_tables * c, first + k, fold, x]
             total += weight * wp.vec2(spectra[k, y, x, 0], spectra[k, y, x, 1])
         sums[c, y, x, 0] = total[0]
         sums[c, y, x, 1] = total[1]
@@ -44,7 +44,7 @@ def accumulate_complex(
     # in:
     spectra: wp.array4d[float],
     tables: wp.array4d[float],
-    gains: wp.array2d[float],
+    mix: wp.array2d[float],
     # out:
     sums: wp.array4d[float],
     # params:
@@ -65,8 +65,8 @@ def accumulate_complex(
         if is_first == 0:
             total = wp.vec2(sums[c, y, x, 0], sums[c, y, x, 1])
         for k in range(size):
-            table_re = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x]
-            table_im = gains[c, k] * tables[own_tables * c, first + k, y, 2 * x + 1]
+            table_re = mix[c, k] * tables[own_tables * c, first + k, y, 2 * x]
+            table_im = mix[c, k] * tables[own_tables * c, first + k, y, 2 * x + 1]
             re = spectra[k, y, x, 0]
             im = spectra[k, y, x, 1]
             total += wp.vec2(table_re * re - table_im * im, table_re * im + table_im * re)

@@ -33,7 +33,7 @@ __kernel void accumulate(
     __global const float2 *restrict spectra,  // [tiles][TERMS][period_y][pitch]
     __global const float2 *restrict tables,   // [kernels][own][period_y][half]
     __global const int *restrict index,       // [tiles][TERMS]
-    __global const float *restrict gains,     // [CHANNELS]
+    __global const float *restrict mix,       // [CHANNELS]
     // out:
     __global float2 *restrict sums,           // [CHANNELS][tiles][period_y][pitch]
     // params:
@@ -57,7 +57,7 @@ __kernel void accumulate(
     for (int c = 0; c < CHANNELS; ++c) {
         const size_t to = (size_t)(c * tiles + t) * frame + at;
         const float2 before = is_first ? (float2)(0.0f, 0.0f) : sums[to];
-        sums[to] = before + gains[c] * (float2)(re, im);
+        sums[to] = before + mix[c] * (float2)(re, im);
     }
 }
 #endif

@@ -1,11 +1,11 @@
 """Field-varying blur: planes weighted by coefficient maps, each convolved with its kernel, and added up.
 
 Ports: planes (planes, rows, cols) float32, coefficients (terms, rows, cols) float32 [1], kernels (kernels, 1 or planes,
-m, n) float32 [1], m and n odd, index (tiles, terms) int32, gains (channels, planes) float32
+m, n) float32 [1], m and n odd, index (tiles, terms) int32, mix (channels, planes) float32
 [, base (channels, rows, cols) float32] -> channels (channels, rows, cols) float32:
 
     e_c = base_c + sum over tiles t, terms k, planes p of
-          gains[c, p] kernels[index[t, k], p] * (coefficients_k planes_p in t)
+          mix[c, p] kernels[index[t, k], p] * (coefficients_k planes_p in t)
 
 The weights are those of the *source* pixel (light is spread from where it falls, flux is kept). Tiles divide the
 source. Two methods are this one sum (planner/field.py makes the maps): overlap-add of interpolated kernels, with a
@@ -29,14 +29,14 @@ NEVER = float(np.finfo(np.float32).max)
 
 
 @stage
-def field(device, planes, coefficients, kernels, index, edges, gains, border, margin=0, base=None, threshold=None,
+def field(device, planes, coefficients, kernels, index, edges, mix, border, margin=0, base=None, threshold=None,
           tables=None):
     """Spread each pixel's light with the kernel of its place.
 
     planes: shape (planes, rows, cols). coefficients: shape (terms, rows, cols); outside the frame the outermost value
     goes on. kernels: shape (kernels, 1 or planes, m, n), m and n odd, the centre is the pixel itself. index: kernel of
     each tile's terms, shape (tiles, terms), tiles row by row. edges: boundaries of the tiles' rows and columns, two
-    rising lists of source pixels from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2. gains: shape
+    rising lists of source pixels from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2. mix: shape
     (channels, planes). border: "zero", "edge" or "reflect". margin: pixels of the planes on each side that are
     surroundings and not in the result; negative: of the result that are not in the planes. base: what is added, 0 if
     not given. threshold: values above it are spread by direct sums, so that what is dark beside them keeps its float32
@@ -48,14 +48,14 @@ def field(device, planes, coefficients, kernels, index, edges, gains, border, ma
     _, rows, cols = planes.shape
     m, n = kernels.shape[2:]
     planes, coefficients = device.array(planes), device.array(coefficients)
-    gains, index = (np.asarray(device.numpy(values)) for values in (gains, index))
-    channels, (tiles_y, tiles_x) = len(gains), (len(edge) - 1 for edge in edges)
+    mix, index = (np.asarray(device.numpy(values)) for values in (mix, index))
+    channels, (tiles_y, tiles_x) = len(mix), (len(edge) - 1 for edge in edges)
     tables = transfer(device, kernels, edges) if tables is None else tables
     period, limit = _period(kernels.shape, edges), NEVER if threshold is None else float(threshold)
     if border == "zero":  # there is no light outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    padded = blur(device, planes, coefficients, tables, kernels.shape[1], index, edges, gains, border, limit, period)
+    padded = blur(device, planes, coefficients, tables, kernels.shape[1], index, edges, mix, border, limit, period)
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
@@ -65,15 +65,15 @@ def field(device, planes, coefficients, kernels, index, edges, gains, border, ma
                   out if base is None else device.array(base), out, m // 2, n // 2, int(base is not None),
                   *out.shape, tiles_y, tiles_x, *period)
     if threshold is not None:
-        _add_highlights(device, out, planes, coefficients, np.asarray(device.numpy(kernels)), index, edges, gains,
+        _add_highlights(device, out, planes, coefficients, np.asarray(device.numpy(kernels)), index, edges, mix,
                         border, limit, margin)
     return out
 
 
-def _on_device(device, planes, coefficients, tables, own, index, edges, gains, border, limit, period):
+def _on_device(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
     """Blurred tiles, shape (channels, tiles, *period), by kernels and transforms of many tiles at once."""
     count, rows, cols = planes.shape
-    (tiles, terms), channels, half = index.shape, len(gains), tables.shape[2]
+    (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
     on_device_index = device.array(index, np.int32)
     sizes = () if device.kind == "opencl" else (terms, channels)
@@ -91,7 +91,7 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, gains, b
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
             device.launch("optics.field", "accumulate", (size, period[0], half), spectra, tables, on_device_index,
-                          device.array(gains[:, p]), sums, int(p == 0), first, min(p, own - 1), *sizes, size,
+                          device.array(mix[:, p]), sums, int(p == 0), first, min(p, own - 1), *sizes, size,
                           period[0], half, pitch, own, defines={"TERMS": terms, "CHANNELS": channels})
         blurred = fft.inverse(device, sums, period[1])
         device.launch("optics.field", "keep", (channels * size, *period), blurred, padded, first, channels, size, tiles,
@@ -99,11 +99,11 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, gains, b
     return padded
 
 
-def _on_host(device, planes, coefficients, tables, own, index, edges, gains, border, limit, period):
+def _on_host(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
     """The same, a thread to a tile: all of a tile stays in its core's cache (a third less time, measured)."""
     import scipy.fft
 
-    padded = device.empty((len(gains), len(index), *period))
+    padded = device.empty((len(mix), len(index), *period))
     planes, coefficients, out = (device.numpy(values) for values in (planes, coefficients, padded))
     tables = device.numpy(tables).view(np.complex64)[..., : period[1] // 2 + 1, 0]
     _, rows, cols = planes.shape
@@ -124,7 +124,7 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, gains, bor
         weights = coefficients[:, *weight_place]
         weighted = np.empty((index.shape[1], *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
-        sums = np.empty((len(gains), period[0], period[1] // 2 + 1), np.complex64)
+        sums = np.empty((len(mix), period[0], period[1] // 2 + 1), np.complex64)
         for p, plane in enumerate(planes):
             light = plane[place]
             if limit < NEVER:
@@ -135,11 +135,11 @@ def _on_host(device, planes, coefficients, tables, own, index, edges, gains, bor
                 spectra[k] *= tables[kernel]
                 if k:
                     spectra[0] += spectra[k]
-            for total, gain in zip(sums, gains[:, p], strict=True):
+            for total, weight in zip(sums, mix[:, p], strict=True):
                 if p == 0:
-                    np.multiply(spectra[0], gain, out=total)
+                    np.multiply(spectra[0], weight, out=total)
                 else:
-                    total += gain * spectra[0]
+                    total += weight * spectra[0]
         out[:, t] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -181,7 +181,7 @@ def _sources(length, reach, border):
     return np.minimum(places, 2 * length - 1 - places)
 
 
-def _add_highlights(device, out, planes, coefficients, kernels, index, edges, gains, border, threshold, margin):
+def _add_highlights(device, out, planes, coefficients, kernels, index, edges, mix, border, threshold, margin):
     """Add what `weigh` left out: one kernel per bright place, mixed on the host in float64, summed on the device."""
     values = np.asarray(device.numpy(planes))
     bright = np.unique(np.concatenate([np.flatnonzero(value > threshold) for value in values]))
@@ -202,7 +202,7 @@ def _add_highlights(device, out, planes, coefficients, kernels, index, edges, ga
         light = np.where(values[:, *at] > threshold, values[:, *at], 0).astype(np.float64)
         weight = weights[:, min(max(y, 0), rows - 1), min(max(x, 0), cols - 1)].astype(np.float64)
         own = np.tensordot(weight, kernels[index[tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]]], 1)
-        mixed[k] = np.einsum("cp,pij->cij", gains * light, np.broadcast_to(own, (len(light), m, n)))
+        mixed[k] = np.einsum("cp,pij->cij", mix * light, np.broadcast_to(own, (len(light), m, n)))
     places -= margin
     bins_y, bins_x = (-(-length // BIN) for length in out.shape[1:])
     lists = [[] for _ in range(bins_y * bins_x)]
@@ -243,7 +243,7 @@ def cases():
                     "coefficients": random.random((terms, rows, cols)).astype(np.float32),
                     "kernels": (kernels / m**2).astype(np.float32),
                     "index": random.integers(0, 7, (number, terms)).astype(np.int32), "edges": edges,
-                    "gains": random.random((channels, count)).astype(np.float32), "border": border,
+                    "mix": random.random((channels, count)).astype(np.float32), "border": border,
                     "margin": {15: 3, 21: -2}.get(m, 0), "threshold": threshold,
                     "base": random.random((channels, rows - 6, cols - 6)).astype(np.float32) if m == 15 else None,
                     }, 4e-6, why, metric="local" if threshold else "peak", floor=0.05)
@@ -264,4 +264,4 @@ def bench(rows, cols):
             "kernels": (kernels / kernels.sum(axis=(2, 3), keepdims=True)).astype(np.float32),
             "index": np.stack([corner + d for d in (0, 1, 8, 9)], axis=-1).reshape(49, 4).astype(np.int32),
             "edges": [np.array([-15, *at[1:-1], size + 15]) for at, size in ((y, rows), (x, cols))],
-            "gains": np.ones((1, 1), np.float32), "border": "edge"}
+            "mix": np.ones((1, 1), np.float32), "border": "edge"}

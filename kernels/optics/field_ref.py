@@ -5,14 +5,14 @@ import numpy as np
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def field(planes, coefficients, kernels, index, edges, gains, border, margin=0, base=None, threshold=None, tables=None):
+def field(planes, coefficients, kernels, index, edges, mix, border, margin=0, base=None, threshold=None, tables=None):
     """See the contract; `threshold` and `tables` only matter to how it is computed."""
     _, rows, cols = planes.shape
     kernels = np.asarray(kernels, np.float64)
     m, n = kernels.shape[2:]
     pad = (m // 2, m // 2), (n // 2, n // 2)
     weights = np.pad(np.asarray(coefficients, np.float64), ((0, 0), *pad), mode="edge")
-    out = np.zeros((len(gains), rows - 2 * margin, cols - 2 * margin))
+    out = np.zeros((len(mix), rows - 2 * margin, cols - 2 * margin))
     for p, plane in enumerate(planes):
         source = np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border])
         own = kernels[:, min(p, kernels.shape[1] - 1)]
@@ -28,5 +28,5 @@ def field(planes, coefficients, kernels, index, edges, gains, border, margin=0, 
                         own[chosen, a, b], weighted, 1)
         # the source began m // 2 before the frame, and a kernel's first entry m // 2 before its pixel
         place = np.s_[m - 1 + margin : m - 1 + rows - margin, n - 1 + margin : n - 1 + cols - margin]
-        out += np.asarray(gains, np.float64)[:, p, None, None] * spread[place]
+        out += np.asarray(mix, np.float64)[:, p, None, None] * spread[place]
     return out if base is None else out + base

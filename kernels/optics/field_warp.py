@@ -52,7 +52,7 @@ def accumulate(
     spectra: wp.array4d[float],
     tables: wp.array4d[float],
     index: wp.array2d[int],
-    gains: wp.array[float],
+    mix: wp.array[float],
     # out:
     sums: wp.array4d[float],
     # params:
@@ -84,8 +84,8 @@ def accumulate(
         before = wp.vec2(0.0, 0.0)
         if is_first == 0:
             before = wp.vec2(sums[to, y, x, 0], sums[to, y, x, 1])
-        sums[to, y, x, 0] = before[0] + gains[c] * re
-        sums[to, y, x, 1] = before[1] + gains[c] * im
+        sums[to, y, x, 0] = before[0] + mix[c] * re
+        sums[to, y, x, 1] = before[1] + mix[c] * im
 
 
 @wp.kernel

@@ -7,7 +7,7 @@ __kernel void fold(
     // in:
     __global const float2 *restrict spectra,  // [SIZE][rows * PERIOD_Y][pitch]
     __global const float *restrict tables,    // [1 or CHANNELS][count][rows * PERIOD_Y / 2 + 1][cols * PERIOD_X / 2 + 1]
-    __constant float *gains,                  // [CHANNELS][SIZE]
+    __constant float *mix,                    // [CHANNELS][SIZE]
     __global const float2 *restrict turns_y,  // [rows * PERIOD_Y][PERIOD_Y]
     __global const float2 *restrict turns_x,  // [cols * PERIOD_X][PERIOD_X]
     // out:
@@ -46,7 +46,7 @@ __kernel void fold(
                 const float2 value = spectra[k * plane + at];
 #pragma unroll
                 for (int c = 0; c < CHANNELS; ++c)
-                    total[c] += gains[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + entry]
+                    total[c] += mix[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + entry]
                                 * value;
             }
 #pragma unroll

@@ -1,9 +1,9 @@
 """Blur of weighted planes straight to the mosaic: each pixel gets only its own channel.
 
 Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2 + 1) float32 [1],
-gains (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
+mix (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
 
-    e(y, x) = sum over k of  gains[c, k] (planes_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
+    e(y, x) = sum over k of  mix[c, k] (planes_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
 
 The same as `optics.blur` and taking one channel per pixel, for less: the pixels of one phase (dy, dx) of the mosaic are
 every ph-th row and pw-th column of their channel, and sampling folds its spectrum F, so that they are the inverse
@@ -41,31 +41,31 @@ def transform_lengths(minimum, cfa_shape):
 
 
 @stage
-def mosaic(device, planes, tables, gains, cfa, border, period, margin=0):
+def mosaic(device, planes, tables, mix, cfa, border, period, margin=0):
     """Convolve each plane with its kernels, add up per channel, and keep each pixel's own channel.
 
-    planes, tables, gains, border, margin: as in `optics.blur`. cfa: channel of each pixel of one period of the mosaic,
+    planes, tables, mix, border, margin: as in `optics.blur`. cfa: channel of each pixel of one period of the mosaic,
     shape (ph, pw). period: transform lengths, at least (rows, cols) and multiples of (ph, pw).
     Returns shape (rows - 2 margin, cols - 2 margin). Source: the folding of a sampled signal's spectrum (Shannon).
     """
     _, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
-    gains = np.asarray(device.numpy(gains), np.float32)  # cut into batches on the host
+    mix = np.asarray(device.numpy(mix), np.float32)  # cut into batches on the host
     cfa = np.asarray(device.numpy(cfa), np.int32)
     start = tuple((length - size) // 2 + margin for length, size in zip(period, (rows, cols), strict=True))
     cfa = np.roll(cfa, start, axis=(0, 1))  # the mosaic counted from the corner of the period
     out = device.empty((rows - 2 * margin, cols - 2 * margin))
     lines = None if device.on_host else _lines(device.local_bytes, period, cfa.shape)
     if lines:
-        _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, out)
+        _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out)
     else:
-        _by_planes(device, planes, tables, gains, cfa, border, period, start, out)
+        _by_planes(device, planes, tables, mix, cfa, border, period, start, out)
     return out
 
 
-def _by_planes(device, planes, tables, gains, cfa, border, period, start, out):
+def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     """Transforms of whole planes with the fold between them."""
-    count, channels, own_tables = len(gains[0]), len(gains), int(tables.shape[0] > 1)
+    count, channels, own_tables = len(mix[0]), len(mix), int(tables.shape[0] > 1)
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
@@ -74,7 +74,7 @@ def _by_planes(device, planes, tables, gains, cfa, border, period, start, out):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
         device.launch("optics.mosaic", "fold", (small[0], half), spectra, tables,
-                      device.array(gains[:, first : first + size]), *turns,
+                      device.array(mix[:, first : first + size]), *turns,
                       *(() if device.kind == "opencl" else (device.array(cfa, np.int32),)), folded,
                       int(first == 0), first, count, own_tables,
                       *(() if device.kind == "opencl" else (size, channels, *cfa.shape)), *small, half,
@@ -87,7 +87,7 @@ def _by_planes(device, planes, tables, gains, cfa, border, period, start, out):
                   defines={"SIZE": 1, "CHANNELS": 1, "PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1], "CFA": "0"})
 
 
-def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, out):
+def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, out):
     """On a GPU: transforms of columns, of rows with the fold between forward and inverse, of columns."""
     count, rows, cols = planes.shape
     (columns_forward, rows_forward, rows_inverse, columns_inverse), (phases_y, phases_x) = lines, cfa.shape
@@ -109,7 +109,7 @@ def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, 
                                        "FORWARD": fft.passes(period[0], columns_forward, -1)})
         group = fft.threads(device, period[1], rows_forward)
         device.launch(LINES, "fold", ((small[0] // 2 + 1) * group,), halves, tables,
-                      _constant(device, gains[:, first : first + size].tobytes(), (len(gains), size)), roots_y, roots_x,
+                      _constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)), roots_y, roots_x,
                       folded, int(first == 0), first, count, int(tables.shape[0] > 1), before[1], size, cols,
                       pitch, group=(group,),
                       defines=shape | {"THREADS": group, "ROWS_FORWARD": rows_forward, "ROWS_INVERSE": rows_inverse,
@@ -117,7 +117,7 @@ def _by_lines(device, planes, tables, gains, cfa, border, period, start, lines, 
                                        "INVERSE": fft.passes(small[1], rows_inverse, 1, phases_x),
                                        "LOCAL_BYTES": max(fft.room(period[1], rows_forward),
                                                           fft.room(small[1], rows_inverse)),
-                                       "OWN": -(-small[1] // group), "CHANNELS": len(gains),
+                                       "OWN": -(-small[1] // group), "CHANNELS": len(mix),
                                        "CFA": ", ".join(map(str, cfa.ravel())),
                                        "TURNS_Y": _roots_text(phases_y), "TURNS_X": _roots_text(phases_x)})
     side_by_side = columns_inverse * cfa.size // 2
@@ -183,7 +183,7 @@ def cases():
         planes[0, rows // 2, cols // 2] = 1e6
         yield Case(f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
                    {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32),
-                    "gains": random.random((channels, count)).astype(np.float32), "cfa": np.array(cfa, np.int32),
+                    "mix": random.random((channels, count)).astype(np.float32), "cfa": np.array(cfa, np.int32),
                     "border": border, "period": period, "margin": margin}, 2.4e-6, why)
 
 
@@ -193,5 +193,5 @@ def bench(rows, cols):
     period, _ = transform_lengths((rows + 128, cols + 128), (2, 2))
     return {"planes": random.random((4, rows, cols), np.float32),
             "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "gains": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
+            "mix": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
             "period": period}

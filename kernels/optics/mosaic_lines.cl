@@ -60,7 +60,7 @@ __kernel void fold(
     // in:
     __global const float2 *restrict halves,   // [size][LENGTH_Y / 2 + 1][pitch]
     __global const float *restrict tables,    // [1 or CHANNELS][count][LENGTH_Y / 2 + 1][LENGTH_X / 2 + 1]
-    __constant float *gains,                  // [CHANNELS][size]
+    __constant float *mix,                    // [CHANNELS][size]
     __global const float2 *restrict roots_y,  // [LENGTH_Y]
     __global const float2 *restrict roots,    // [LENGTH_X]
     // out:
@@ -98,7 +98,7 @@ __kernel void fold(
                             __global const float *entry = table + (row * (LENGTH_X / 2 + 1) + column);
                             float weights[CHANNELS];
                             _Pragma("unroll") for (int c = 0; c < CHANNELS; ++c)
-                                weights[c] = gains[c * size + k] * entry[c * between];
+                                weights[c] = mix[c * size + k] * entry[c * between];
                             _Pragma("unroll") for (int p = 0; p < PHASES; ++p) {
                                 const float2 turn = times(turns_y[a * (p / PERIOD_X) % PERIOD_Y],
                                                           turns_x[b * (p % PERIOD_X) % PERIOD_X]);

@@ -1,11 +1,11 @@
-"""e(y, x) = sum_k gains[c, k] IFFT(H_ck FFT(extend(planes_k)))(y, x), c = cfa(y, x): all channels in full, float64."""
+"""e(y, x) = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k)))(y, x), c = cfa(y, x): all channels in full, float64."""
 
 import numpy as np
 
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def mosaic(planes, tables, gains, cfa, border, period, margin=0):
+def mosaic(planes, tables, mix, cfa, border, period, margin=0):
     """See the contract; nothing is folded: every channel is transformed back whole, and then sampled."""
     count, rows, cols = planes.shape
     pad = [((length - n) // 2, length - n - (length - n) // 2)
@@ -17,11 +17,11 @@ def mosaic(planes, tables, gains, cfa, border, period, margin=0):
     channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
     y, x = y + pad[0][0] + margin, x + pad[1][0] + margin
     out = np.zeros(channel.shape)
-    for c, gain in enumerate(np.asarray(gains, np.float64)):
+    for c, weights in enumerate(np.asarray(mix, np.float64)):
         total = np.zeros(period, complex)
         for k in range(count):
             table = np.asarray(tables[min(c, len(tables) - 1), k], np.float64)
-            total += gain[k] * table[fold] * spectra[k]
+            total += weights[k] * table[fold] * spectra[k]
         blurred = np.fft.ifft2(total).real
         out = np.where(channel == c, blurred[y, x], out)
     return out

@@ -16,7 +16,7 @@ def fold(
     # in:
     spectra: wp.array4d[float],
     tables: wp.array4d[float],
-    gains: wp.array2d[float],
+    mix: wp.array2d[float],
     turns_y: wp.array3d[float],
     turns_x: wp.array3d[float],
     cfa: wp.array2d[int],
@@ -62,7 +62,7 @@ def fold(
             for c in range(channels):
                 total = wp.vec2(0.0, 0.0)
                 for k in range(size):
-                    weight = gains[c, k] * tables[own_tables * c, first + k, entry, column]
+                    weight = mix[c, k] * tables[own_tables * c, first + k, entry, column]
                     total += weight * wp.vec2(spectra[k, row, column, 0], sign * spectra[k, row, column, 1])
                 for dy in range(phases_y):
                     for dx in range(phases_x):

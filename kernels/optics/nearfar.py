@@ -1,9 +1,9 @@
 """Blur of every plane by its own kernel, summed into channels, without a transform: a pyramid of separable kernels.
 
 Ports: planes (planes, rows, cols) float32, levels of (columns, rows), each (groups, planes, products, taps) float32,
-gains (channels, planes) float32 -> channels (channels, rows, cols) float32:
+mix (channels, planes) float32 -> channels (channels, rows, cols) float32:
 
-    e_c = sum over k of  gains[c, k] B(planes_k, 0),
+    e_c = sum over k of  mix[c, k] B(planes_k, 0),
     B(I, n) = sum over t of  columns[n, t] * (rows[n, t] * I)  +  enlarged(B(blocks of I, n + 1)),
 
 where * convolves along one axis, blocks are sums over factor x factor pixels from the frame's corner, and enlarging is
@@ -26,23 +26,23 @@ WARP_ROWS = 16
 
 
 @stage
-def nearfar(device, planes, levels, gains, border, factor=2):
+def nearfar(device, planes, levels, mix, border, factor=2):
     """Convolve each plane with its kernel and add up per channel.
 
     planes: shape (planes, rows, cols). levels: pairs (columns, rows) from the finest to the coarsest, each of shape
-    (1 or channels, planes, products, taps), taps odd. gains: shape (channels, planes). border: "zero", "edge" or
+    (1 or channels, planes, products, taps), taps odd. mix: shape (channels, planes). border: "zero", "edge" or
     "reflect" (the outermost pixel is repeated). factor: pixels of a level per pixel of the next, along an axis.
     Returns shape (channels, rows, cols).
-    Raises BadData for levels that are empty, not finite or do not fit the planes and gains; UnknownName for another
+    Raises BadData for levels that are empty, not finite or do not fit the planes and mix; UnknownName for another
     border; OutOfRange for a factor below 2.
     """
-    gains = np.asarray(device.numpy(gains), np.float32)
+    mix = np.asarray(device.numpy(mix), np.float32)
     levels = [tuple(np.asarray(device.numpy(part), np.float32) for part in level) for level in levels]
-    check(planes.shape, levels, gains, border, factor)
+    check(planes.shape, levels, mix, border, factor)
     planes = device.array(planes)
     own = levels[0][0].shape[0] > 1
-    if own:  # each channel's kernels carry its gains
-        levels = [(columns, rows * gains[:, :, None, None]) for columns, rows in levels]
+    if own:  # each channel's kernels carry its mix
+        levels = [(columns, rows * mix[:, :, None, None]) for columns, rows in levels]
     else:
         levels = [(columns[0, :, None], rows[0, :, None]) for columns, rows in levels]  # (planes, 1, products, taps)
     sizes, margins, around = geometry(planes.shape[1:], [columns.shape[3] for columns, _ in levels], factor)
@@ -71,10 +71,10 @@ def nearfar(device, planes, levels, gains, border, factor=2):
             device.launch("optics.nearfar", "enlarge", grid(out), low, out, margins[n], margins[n + 1], *out.shape,
                           *low.shape[1:], *own_factor, defines=defines, group=by_row)
         low = out
-    return low if own else integrate(low, device.array(gains), device=device)
+    return low if own else integrate(low, device.array(mix), device=device)
 
 
-def check(shape, levels, gains, border, factor):
+def check(shape, levels, mix, border, factor):
     """Refuse what cannot be blurred; raises as `nearfar`."""
     if border not in BORDERS:
         raise UnknownName("border", border, BORDERS)
@@ -82,8 +82,8 @@ def check(shape, levels, gains, border, factor):
         raise OutOfRange("factor", factor, "a whole number from 2")
     if len(shape) != 3 or 0 in shape:
         raise BadData(f"planes of shape {shape}: must be (planes, rows, cols), none of them zero")
-    if gains.ndim != 2 or gains.shape[1] != shape[0] or not len(gains):
-        raise BadData(f"gains of shape {gains.shape}: must be (channels, {shape[0]}), one per plane")
+    if mix.ndim != 2 or mix.shape[1] != shape[0] or not len(mix):
+        raise BadData(f"mix of shape {mix.shape}: must be (channels, {shape[0]}), one per plane")
     if not levels:
         raise BadData("no levels: the pyramid needs one at least")
     groups = levels[0][0].shape[0]
@@ -91,9 +91,9 @@ def check(shape, levels, gains, border, factor):
         if columns.shape != rows.shape or columns.ndim != 4 or 0 in columns.shape:
             raise BadData(f"level {n}: columns of shape {columns.shape}, rows {rows.shape}: must be equal, (groups, "
                           "planes, products, taps), none of them zero")
-        if columns.shape[0] != groups or groups not in (1, len(gains)) or columns.shape[1] != shape[0]:
+        if columns.shape[0] != groups or groups not in (1, len(mix)) or columns.shape[1] != shape[0]:
             raise BadData(f"level {n} is for {columns.shape[0]} channels and {columns.shape[1]} planes: must be 1 or "
-                          f"{len(gains)}, the same at every level, and {shape[0]}")
+                          f"{len(mix)}, the same at every level, and {shape[0]}")
         if columns.shape[3] % 2 == 0:
             raise BadData(f"level {n} has {columns.shape[3]} taps: must be odd, so that there is a centre")
         if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
@@ -163,7 +163,7 @@ def cases():
                         / factor**n for _ in range(2)) for n, shape in enumerate(shapes)]
         yield Case(f"{rows}x{cols}x{count} to {channels}, {len(shapes)} levels of {factor}, {border}",
                    {"planes": random.random((count, rows, cols), np.float32), "levels": levels,
-                    "gains": random.random((channels, count), np.float32), "border": border, "factor": factor},
+                    "mix": random.random((channels, count), np.float32), "border": border, "factor": factor},
                    8.6e-6, why)
 
 
@@ -174,4 +174,4 @@ def bench(rows, cols):
     return {"planes": random.random((3, rows, cols), np.float32),
             "levels": [tuple(random.random((3, 3, *shape), np.float32) / shape[1] for _ in range(2))
                        for shape in shapes],
-            "gains": random.random((3, 3), np.float32), "border": "edge"}
+            "mix": random.random((3, 3), np.float32), "border": "edge"}

@@ -6,21 +6,21 @@ from scipy.ndimage import convolve1d
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def nearfar(planes, levels, gains, border, factor=2):
+def nearfar(planes, levels, mix, border, factor=2):
     """See the contract. The frame is padded by more than the kernels reach, so that no level has a border."""
     count, rows, cols = planes.shape
-    gains = np.asarray(gains, np.float64)
+    mix = np.asarray(mix, np.float64)
     unit = factor ** (len(levels) - 1)
     reach = sum((columns.shape[3] // 2 + 2) * factor**n for n, (columns, _) in enumerate(levels))
     before = -(-reach // unit) * unit
     pads = [(before, before + -n % unit) for n in (rows, cols)]
-    out = np.zeros((len(gains), rows, cols))
+    out = np.zeros((len(mix), rows, cols))
     for k in range(count):
         wide = np.pad(np.asarray(planes[k], np.float64), pads, mode=MODES[border])
-        for c in range(len(gains)):
+        for c in range(len(mix)):
             group = c if levels[0][0].shape[0] > 1 else 0
             blurred = _level(wide, [(columns[group, k], lines[group, k]) for columns, lines in levels], factor)
-            out[c] += gains[c, k] * blurred[before : before + rows, before : before + cols]
+            out[c] += mix[c, k] * blurred[before : before + rows, before : before + cols]
     return out
 
 

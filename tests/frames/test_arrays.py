@@ -42,7 +42,7 @@ def test_what_the_api_gives_is_an_array_to_others(device):
     for found, shape in ((program.raw(), SHAPE), (program.codes(), (*SHAPE, 3)), (simulator.draw(exposure), SHAPE),
                          (draws, (3, *SHAPE)), (simulator.codes(simulator.draw(exposure), exposure), (*SHAPE, 3)),
                          (simulator.develop(simulator.draw(exposure), exposure)[0], (3, *SHAPE)),
-                         (exposure.mean, SHAPE), (exposure.expected, SHAPE),
+                         (exposure.mean, SHAPE), (exposure.chip_mean, SHAPE),
                          (next(simulator.stream([shown])), (*SHAPE, 3)),
                          (next(simulator.stream([shown], "raw")), SHAPE)):
         values = np.asarray(found)

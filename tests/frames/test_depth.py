@@ -265,11 +265,11 @@ def test_layers_that_a_scene_gives(device):
     scene, cam = two_layers(), camera()
     simulator = Simulator(cam, device=device)
     result = simulator.expose(scene, 1.0)
-    made = result.plan
-    assert made.depth.layers == 2 and "given" in made.models["optics.composite"]
-    layer, weights = scene.layers[0], made.weights[0]
+    plan = result.plan
+    assert plan.depth.layers == 2 and "given" in plan.models["optics.composite"]
+    layer, weights = scene.layers[0], plan.weights[0]
     alpha, total = layer.alpha.astype(float), 0.0
-    for band, weight, q in zip(range(3), weights, made.q, strict=True):
+    for band, weight, q in zip(range(3), weights, plan.q, strict=True):
         disc = pupil(LENS.pupil, LENS.waves(BANDS[[band]], distance=layer.depth), np.array([q]), 1.0, 256, 256,
                      device="numpy")[0]
         clear = pupil(LENS.pupil, LENS.waves(BANDS[[band]]), np.array([q]), 1.0, 256, 256, device="numpy")[0]

@@ -265,7 +265,7 @@ def test_layers_of_stacked_pixels_do_not_meet():
     developer = Shots(simulator, exposure).developer
     known = Shots(simulator, exposure).defects
     planes = [np.array(simulator.device.numpy(developer.demosaicked(simulator.device.array(values, np.uint16),
-                                                                    known=known, gains=exposure.gains)))
+                                                                    known=known, shading=exposure.shading)))
               for values in (raw, changed)]
     assert planes[0].shape == (len(letters), 40, 60)
     np.testing.assert_array_equal(planes[0][0], planes[1][0])

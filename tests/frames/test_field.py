@@ -23,7 +23,7 @@ ONE = np.ones((1, 1), np.float32)
 
 def blurred(plane, blur, device, border="reflect", **more):
     """The stage on one plane."""
-    inputs = {"planes": plane[None].astype(np.float32), "gains": ONE, "border": border, **blur.stage_inputs, **more}
+    inputs = {"planes": plane[None].astype(np.float32), "mix": ONE, "border": border, **blur.stage_inputs, **more}
     return field(**inputs, device=open_device(device))[0]
 
 
@@ -208,7 +208,7 @@ def test_highlights_are_spread_directly(device):
     blur = overlap_add(lens, shape, (4, 5), fft_length)
     plane = np.full(shape, 1e-3)
     plane[0, 40] = plane[30, 89] = plane[33, 44] = 1e6
-    inputs = {"planes": plane[None], "gains": ONE, "border": "reflect", **blur.stage_inputs}
+    inputs = {"planes": plane[None], "mix": ONE, "border": "reflect", **blur.stage_inputs}
     truth = field(**inputs, device="numpy")[0]
     image = blurred(plane, blur, device, threshold=0.1)
     assert np.abs(image - truth).max() > 0 and image.min() > 0
@@ -222,7 +222,7 @@ def test_transferred_kernels_are_used_again():
     inputs = blur.stage_inputs
     tables = transfer(device, inputs["kernels"], inputs["edges"])
     plane = natural(shape, 2)
-    again = field(plane[None].astype(np.float32), gains=ONE, border="reflect", device=device, tables=tables, **inputs)
+    again = field(plane[None].astype(np.float32), mix=ONE, border="reflect", device=device, tables=tables, **inputs)
     assert np.array_equal(blurred(plane, blur, device.name), device.numpy(again)[0])
 
 

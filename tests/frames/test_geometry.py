@@ -14,9 +14,9 @@ from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
-from gpusim.kernels.optics.gain import gain
-from gpusim.kernels.optics.warp import warp
-from gpusim.planner.geometry import microlens_gain, relative_illumination, warp_grid
+from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
+from gpusim.planner.geometry import distortion_grid, microlens_gain, relative_illumination
 from gpusim.simulator import Simulator
 
 PITCH = 1.4e-6
@@ -55,10 +55,10 @@ def test_the_derivative_is_that_of_the_mapping(lens):
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_the_grid_keeps_the_error_that_it_states(lens):
     """At every pixel, not only at those that the planner looked at; the reference's interpolation in float64."""
-    from gpusim.kernels.optics.warp_ref import _lagrange
+    from gpusim.kernels.optics.distort_ref import _lagrange
 
     shape = (301, 403)
-    grid = warp_grid(lens, shape, 4e-6)
+    grid = distortion_grid(lens, shape, 4e-6)
     y, x = ((np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2) * (4e-6 / lens.radius))
     u, v = ideal(lens, x, y)
     wanted = np.array([v, u]) * (lens.radius / 4e-6) + (np.array(shape)[:, None, None] - 1) / 2 - np.indices(shape)
@@ -86,12 +86,12 @@ def test_case_30_energy_per_solid_angle_at_100_degrees(device):
     r = np.hypot(*((np.indices((size, size)) - (size - 1) / 2) * pitch))
     plane = relative_illumination("cos4", (size, size), pitch, 1e-3)
     assert np.allclose(plane, np.cos(np.arctan(r / 1e-3)) ** 4, rtol=1e-12)
-    grid = warp_grid(lens, (n, n), pitch, (size, size))
+    grid = distortion_grid(lens, (n, n), pitch, (size, size))
     assert grid.ratio[1] > 1.5 and "samples per pixel" in grid.report
     sub_r = np.hypot(*((np.indices((8 * n, 8 * n)) - (8 * n - 1) / 2) * (pitch / 8)))
     for method in ("cubic", "area"):
-        image = warp(plane[None].astype(np.float32), grid.nodes[None].astype(np.float32), (n, n), "zero",
-                     method, device=open_device(device))[0].astype(np.float64)
+        image = distort(plane[None].astype(np.float32), grid.nodes[None].astype(np.float32), (n, n), "zero",
+                        method, device=open_device(device))[0].astype(np.float64)
         assert image.min() > 0  # no holes
         previous = 0.0, 0.0
         for degrees in (10, 20, 30, 34):
@@ -114,12 +114,12 @@ def test_area_weighting_conserves_every_point(device):
     random = np.random.default_rng(2)
     shape = (120, 160)
     lens = RadialPolynomial(-0.1, -0.05, PITCH * 100)
-    grid = warp_grid(lens, shape, PITCH)
+    grid = distortion_grid(lens, shape, PITCH)
     plane = np.zeros(shape, np.float32)
     plane[30:-30, 40:-40] = random.random((60, 80))
     plane[40, 50] = plane[77, 90] = 1e6
-    image = warp(plane[None], grid.nodes[None].astype(np.float32), shape, "zero", "area",
-                 device=open_device(device))
+    image = distort(plane[None], grid.nodes[None].astype(np.float32), shape, "zero", "area",
+                    device=open_device(device))
     assert image.min() >= 0
     assert image.sum(dtype=np.float64) == pytest.approx(plane.sum(dtype=np.float64), rel=1e-6)
 
@@ -133,9 +133,9 @@ def test_lateral_colour_moves_planes_apart(device, method):
     y, x = np.indices(shape) - middle[:, None, None]
     plane = np.exp(-((y - spot[0]) ** 2 + (x - spot[1]) ** 2) / (2 * 2.5**2))
     planes = np.stack([plane, plane]).astype(np.float32)
-    grids = [warp_grid(RadialPolynomial(0, 0, 1e-4, scale=scale), shape, PITCH) for scale in (1.0, 1.02)]
-    image = warp(planes, np.stack([grid.nodes for grid in grids]).astype(np.float32), shape, "zero",
-                 method, device=open_device(device)).astype(np.float64)
+    grids = [distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=scale), shape, PITCH) for scale in (1.0, 1.02)]
+    image = distort(planes, np.stack([grid.nodes for grid in grids]).astype(np.float32), shape, "zero",
+                    method, device=open_device(device)).astype(np.float64)
     for moved, scale in zip(image, (1.0, 1.02), strict=True):
         # a Gaussian of sigma 2.5 is band-limited to e^-31 at Nyquist: Keys' cubic errs by (pi^4 / ...) < 1e-3
         assert moved.sum() == pytest.approx(plane.sum(), rel=1e-4)
@@ -149,16 +149,16 @@ def test_a_finer_source_is_integrated_over_the_pixel():
     """Source samples of half a pixel, no distortion: each pixel is the mean of its 2 x 2 samples."""
     random = np.random.default_rng(3)
     fine = random.random((1, 60, 80))
-    grid = warp_grid(RadialPolynomial(0, 0, 1e-4), (30, 40), 2 * PITCH, (60, 80), PITCH)
+    grid = distortion_grid(RadialPolynomial(0, 0, 1e-4), (30, 40), 2 * PITCH, (60, 80), PITCH)
     assert grid.ratio == pytest.approx((2, 2), abs=1e-9)
-    image = warp(fine, grid.nodes[None], (30, 40), "zero", "area", density=0.25, device="numpy")
+    image = distort(fine, grid.nodes[None], (30, 40), "zero", "area", density=0.25, device="numpy")
     # float64 throughout: 1e-13 of position against differences of 80
     assert np.abs(image[0] - fine[0].reshape(30, 2, 40, 2).mean(axis=(1, 3))).max() < 1e-11
 
 
 def test_a_grid_ratio_above_two_is_reported():
     shape = (64, 64)
-    grid = warp_grid(RadialPolynomial(0, 0, 1e-4, scale=0.4), shape, PITCH)
+    grid = distortion_grid(RadialPolynomial(0, 0, 1e-4, scale=0.4), shape, PITCH)
     assert grid.ratio == pytest.approx((2.5, 2.5))
     assert "area weighting" in grid.report
     # the frame sees 0.75 of its own width beyond the source on each side
@@ -171,7 +171,7 @@ def test_a_grid_ratio_above_two_is_reported():
 ])
 def test_a_mapping_that_does_not_cover_the_frame_is_refused(lens, message):
     with pytest.raises(OutOfRange, match=message):
-        warp_grid(lens, (64, 64), PITCH)
+        distortion_grid(lens, (64, 64), PITCH)
 
 
 def test_bad_tables_are_refused():
@@ -200,7 +200,8 @@ def test_falloff_of_lens_and_microlenses(device):
     wanted = (1 - 0.4 * (r / (PITCH * np.hypot(*shape) / 2)) ** 2) * np.cos(np.arctan(r / pupil)
                                                                           - np.arctan(0.5 * r / pupil))
     # linear interpolation of a cosine every quarter degree: (0.25 deg)^2 / 8 = 2.4e-6
-    image = gain(np.ones((2, *shape), np.float32), (lens * micro)[None].astype(np.float32), device=open_device(device))
+    image = falloff(np.ones((2, *shape), np.float32), (lens * micro)[None].astype(np.float32),
+                    device=open_device(device))
     assert np.abs(image - wanted).max() < 3e-6
 
 
@@ -215,9 +216,9 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     scene = Scene(Cube(np.array([400.0, 500, 600, 700]), np.stack([values] * 4)), illuminant("D65"), border="zero")
     simulate = Simulator(replace(camera, optics=optics), device=device)
     mean = np.array(simulate.device.numpy(simulate.expose(scene, 0.01).mean))
-    made = simulate.plan(scene)
-    assert made.warp.method == "cubic"
-    before = np.array(simulate.device.numpy(simulate.imaging.light(made)))
+    plan = simulate.plan(scene)
+    assert plan.distortion.method == "cubic"
+    before = np.array(simulate.device.numpy(simulate.imaging.light(plan)))
     assert before.min() < -0.01 * before.max()  # the overshoot that the scene has
     assert mean.min() >= 0
     assert mean.max() > 0

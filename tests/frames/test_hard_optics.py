@@ -41,7 +41,7 @@ def with_points(background, places, levels, lines):
     return values
 
 
-def by_hand(values, made):
+def by_hand(values, plan):
     """Every pixel's light spread by pixel-integrated Airy patterns in space; the background by transforms in float64.
 
     Nothing wraps around: the points' kernels are integrals over the pixel, Gauss-Legendre of an order that resolves
@@ -49,8 +49,8 @@ def by_hand(values, made):
     """
     rows, cols = values.shape[1:]
     base = np.median(values, axis=(1, 2))
-    brute = Brute(made.q, (rows, cols))
-    out = brute.truth(brute.transform(np.broadcast_to(base[:, None, None], values.shape)), made.weights, CFA)
+    brute = Brute(plan.q, (rows, cols))
+    out = brute.truth(brute.transform(np.broadcast_to(base[:, None, None], values.shape)), plan.weights, CFA)
     y, x = np.indices((rows, cols))
     channel = CFA[y % 2, x % 2]
     nodes, mass = (array / 2 for array in np.polynomial.legendre.leggauss(10))
@@ -59,8 +59,8 @@ def by_hand(values, made):
         dy, dx = ((axis - at)[..., None] + nodes for axis, at in ((np.arange(rows), py), (np.arange(cols), px)))
         radius = np.hypot(dy.ravel()[:, None], dx.ravel())
         for band in np.flatnonzero(more):
-            density = airy_density(radius, made.q[band]).reshape(rows, 10, cols, 10)
-            out += made.weights[channel, band] * more[band] * np.einsum("iajb,a,b->ij", density, mass, mass)
+            density = airy_density(radius, plan.q[band]).reshape(rows, 10, cols, 10)
+            out += plan.weights[channel, band] * more[band] * np.einsum("iajb,a,b->ij", density, mass, mass)
     return out
 
 
@@ -107,12 +107,12 @@ def test_hard_02_coloured_highlights_on_a_natural_background(device, tolerance):
     for (y, x), level, line in zip(places, np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20), strict=True):
         points[line, y, x] = level * np.median(scene.content.values)
     bright = replace(scene, content=replace(scene.content, values=(scene.content.values + points).astype(np.float32)))
-    made = made_for(scene)
-    brute = Brute(made.q, scene.shape)
-    background = brute.truth(brute.transform(spectra(scene.content)), made.weights, CFA)
+    plan = made_for(scene)
+    brute = Brute(plan.q, scene.shape)
+    background = brute.truth(brute.transform(spectra(scene.content)), plan.weights, CFA)
     added = (bright.content.values.astype(float) - scene.content.values)
     # a background of 0 makes the points alone
-    truth = background + by_hand(added, made)
+    truth = background + by_hand(added, plan)
     mean = electrons(bright, device, tolerance=tolerance)
     scale = 2000 / np.median(background)
     sigmas = np.abs(mean - truth) * scale / np.sqrt(truth * scale)
@@ -127,8 +127,8 @@ def test_hard_03_highlight_in_the_corner_does_not_wrap(device, border="zero"):
     plain = with_points(np.full((70, 100), 1e-3), [], [], [])
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT, border)
     dark = electrons(Scene(Cube(WAVELENGTHS, plain), LIGHT, border), "numpy")
-    made = made_for(scene)
-    points = by_hand(values.astype(float) - np.float32(1e-3), made)
+    plan = made_for(scene)
+    points = by_hand(values.astype(float) - np.float32(1e-3), plan)
     mean = electrons(scene, device)
     # the kernels' tables beyond the core are good to 5e-4 of what a point adds there (measured above: 1e-3 at most)
     assert (np.abs(mean - dark - points) <= 1e-6 * dark + 1e-3 * points).all()
@@ -142,8 +142,8 @@ def test_hard_03_highlight_one_pixel_outside(device):
     """In the surroundings of a scene: its kernel reaches in, it is in no pixel, and nothing wraps."""
     values = with_points(np.full((60, 80), 1e-3), [(9, 30)], [1e6], [None])
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT, "scene", margin=10)
-    made = made_for(scene)
-    truth = by_hand(values.astype(float), made)[10:-10, 10:-10]  # an even margin keeps the phase of a Bayer mosaic
+    plan = made_for(scene)
+    truth = by_hand(values.astype(float), plan)[10:-10, 10:-10]  # an even margin keeps the phase of a Bayer mosaic
     mean = electrons(scene, device)
     assert (np.abs(mean - truth) / truth).max() <= 1e-3
 
@@ -156,15 +156,15 @@ def test_hard_04_energy_of_a_frame_is_kept(device):
     values[:, 104:152, 96:160] = inner
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT, "zero")
     exact = Simulator(CAMERA, device="numpy").expose(scene, 1.0).mean
-    made = made_for(scene)
+    plan = made_for(scene)
     for tolerance in (1e-2, 1e-4):
-        operator = joint_operator(response_of(made), library())
-        brute = Brute(made.q, scene.shape)
+        operator = joint_operator(response_of(plan), library())
+        brute = Brute(plan.q, scene.shape)
         transformed = brute.transform(values.astype(float), "constant")
         rank = 3 if tolerance == 1e-2 else 4
         total = np.tensordot(operator.transfers(rank), brute.tables[:, 0, 0], 1)
         planes = operator.w_in[:, :rank].T @ transformed[:, 0, 0]
-        whole = np.einsum("cl,l,l->c", made.weights, brute.tables[:, 0, 0], transformed[:, 0, 0])
+        whole = np.einsum("cl,l,l->c", plan.weights, brute.tables[:, 0, 0], transformed[:, 0, 0])
         np.testing.assert_allclose(np.real(total @ planes), np.real(whole), rtol=1e-9)
         mean = electrons(scene, device, tolerance=Tolerance(rms=tolerance))
         # per phase of the mosaic the sum is that of a quarter of the pixels, not of its channel: kept to the error
@@ -177,17 +177,17 @@ def test_hard_08_monochromatic_sweep_of_a_point():
     fine = np.arange(400.0, 701.0)
     values = np.zeros((301, 8, 8), np.float32)
     values[:, 4, 4] = 1
-    made = made_for(Scene(Cube(fine, values), LIGHT))
-    response = response_of(made)
+    plan = made_for(Scene(Cube(fine, values), LIGHT))
+    response = response_of(plan)
     optical = np.abs(response.tables) ** 2 @ response.count
 
     def errors(table, transfers):
         fused = np.einsum("ckl,lf->ckf", transfers, response.tables)
         total = 0
         for c, share in enumerate(response.share):
-            lost = made.weights[c][:, None] * response.tables - table.T @ fused[c]
+            lost = plan.weights[c][:, None] * response.tables - table.T @ fused[c]
             total = total + share * (np.abs(lost) ** 2 @ response.count)
-        signal = response.share @ made.weights**2 * optical
+        signal = response.share @ plan.weights**2 * optical
         seen = signal > 1e-6 * signal.max()
         return np.sqrt(total[seen] / signal[seen])
 
@@ -209,19 +209,19 @@ def test_hard_12_red_and_blue_edge(device):
     """Red and blue of equal electrons in green, side by side: <= 0.05 sigma at rank 6, 2000 e- in green."""
     red, blue = (1 / (1 + np.exp(-sign * (WAVELENGTHS - at) / 12)) + 0.02 for sign, at in ((1, 590), (-1, 490)))
     values = np.empty((31, 64, 96), np.float32)
-    made = made_for(Scene(Cube(WAVELENGTHS, np.ones((31, 4, 4), np.float32)), LIGHT))
-    values[:, :, :48] = (red / (made.weights[1] @ red))[:, None, None]
-    values[:, :, 48:] = (blue / (made.weights[1] @ blue))[:, None, None]
+    plan = made_for(Scene(Cube(WAVELENGTHS, np.ones((31, 4, 4), np.float32)), LIGHT))
+    values[:, :, :48] = (red / (plan.weights[1] @ red))[:, None, None]
+    values[:, :, 48:] = (blue / (plan.weights[1] @ blue))[:, None, None]
     values *= 2000.0
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT)
-    operator = joint_operator(response_of(made), library())
-    brute = Brute(made.q, scene.shape)
-    truth = brute.truth(brute.transform(values.astype(float)), made.weights, CFA)
-    made = made_for(scene)
-    tables = airy(made.q, 1.0, *made.period, device="numpy")
+    operator = joint_operator(response_of(plan), library())
+    brute = Brute(plan.q, scene.shape)
+    truth = brute.truth(brute.transform(values.astype(float)), plan.weights, CFA)
+    plan = made_for(scene)
+    tables = airy(plan.q, 1.0, *plan.period, device="numpy")
     kernels = np.tensordot(operator.transfers(6), tables, 1)
     planes = np.tensordot(operator.w_in[:, :6].T, values, 1).astype(np.float32)
-    result = mosaic(planes, kernels.astype(np.float32), np.ones((3, 6)), CFA, "edge", made.period, device=device)
+    result = mosaic(planes, kernels.astype(np.float32), np.ones((3, 6)), CFA, "edge", plan.period, device=device)
     assert (np.abs(result - truth) / np.sqrt(truth)).max() <= 0.05
 
 
@@ -254,20 +254,20 @@ def test_hard_17_a_period_of_seven_is_not_folded():
 def test_hard_18_rank_above_the_numerical_rank():
     """Content of three spectra, ranks to the last: the error never rises above that of lower ranks, in float32."""
     scene = as_cube(chart("slanted-edge", size=(96, 64)))
-    made = made_for(scene)
-    brute = Brute(made.q, scene.shape)
+    plan = made_for(scene)
+    brute = Brute(plan.q, scene.shape)
     values = spectra(scene.content)
     transformed = brute.transform(values)
-    truth = brute.truth(transformed, made.weights, CFA)
+    truth = brute.truth(transformed, plan.weights, CFA)
     for prior in (Spectra.of(scene.content).values, library()):  # of rank 1; of rank 31, its last moments 1e-8
-        operator = joint_operator(response_of(made), prior)
+        operator = joint_operator(response_of(plan), prior)
         assert np.linalg.cond(operator.w_in) < 1e6
-        tables = airy(made.q, 1.0, *made.period, device="numpy")
+        tables = airy(plan.q, 1.0, *plan.period, device="numpy")
         lowest = np.inf
         for rank in operator.ranks:
             planes = np.tensordot(operator.w_in[:, :rank].T, values, 1).astype(np.float32)
             kernels = np.tensordot(operator.transfers(rank), tables, 1).astype(np.float32)
-            error = relative(mosaic(planes, kernels, np.ones((3, rank)), CFA, "edge", made.period, device="opencl"),
+            error = relative(mosaic(planes, kernels, np.ones((3, rank)), CFA, "edge", plan.period, device="opencl"),
                              truth)
             # float32: half a ulp of each of up to 31 planes, 6e-8 sqrt(31); the transform's 2.5e-7 beside it
             assert error <= max(1.5 * lowest, 1e-6)
@@ -320,16 +320,16 @@ def test_hard_10_blur_wider_than_a_tile(device):
     """
     planes = natural((72, 72)).content.values[[5, 15, 25]]
     q = WAVELENGTHS[[5, 15, 25]] * 1e-9 * 16 / 1e-6
-    margin, period, gains = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
+    margin, period, mix = 56, (216, 216), np.array([[0.2, 0.5, 0.3]])
     tables = airy(q, 1.0, *period, device="numpy")[None].astype(np.float32)
-    whole = blur(planes, tables, gains, "zero", period, device=device)
+    whole = blur(planes, tables, mix, "zero", period, device=device)
     around = np.pad(planes, ((0, 0), (margin, margin), (margin, margin)))
     tiled = np.zeros_like(whole)
     for y in range(0, 72, 24):
         for x in range(0, 72, 24):
             window = np.ascontiguousarray(around[:, y : y + 24 + 2 * margin, x : x + 24 + 2 * margin])
-            tiled[:, y : y + 24, x : x + 24] = blur(window, tables, gains, "zero", period, margin, device=device)
+            tiled[:, y : y + 24, x : x + 24] = blur(window, tables, mix, "zero", period, margin, device=device)
     print(f"{device}: tiles differ by {np.abs(tiled - whole).max() / whole.max():.1e}")
     assert np.abs(tiled - whole).max() <= 1e-5 * whole.max()
-    alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, gains, "zero", period, device=device)
+    alone = blur(np.ascontiguousarray(planes[:, :24, :24]), tables, mix, "zero", period, device=device)
     assert np.abs(alone - whole[:, :24, :24]).max() > 0.05 * whole.max()  # the blur is wider than a tile

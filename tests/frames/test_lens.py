@@ -276,7 +276,7 @@ def test_distortion_moves_points_and_keeps_flux(device, model):
     assert (green * rows).sum() / green.sum() == pytest.approx(wanted[0], abs=bound)
     assert (green * cols).sum() / green.sum() == pytest.approx(wanted[1], abs=bound)
     assert green.sum() == pytest.approx(straight[0::2, 1::2].sum(), rel=5e-3)  # every ray arrives once
-    assert "optics.warp" in exposure.plan.models
+    assert "optics.distort" in exposure.plan.models
 
 
 def test_distortion_inverts():
@@ -350,7 +350,7 @@ microlens = {angles_deg = [0, 30], response = [1, 0.8], shift = 0.5}
     assert read.sensor.microlens.angles[1] == pytest.approx(np.radians(30))
     frame = gs.Simulator(read, device=DEVICES[0])(gs.open_scene("deadleaves", size=(96, 64)))
     stages = [stage.stage for stage in frame.report.stages]
-    assert {"optics.warp", "optics.field", "optics.gain"} <= set(stages)
+    assert {"optics.distort", "optics.field", "optics.falloff"} <= set(stages)
     for wrong, says in (("k2 = 0.02", "k1, k2, radius_mm"), ('"psf.npz"', "psf2.npz"), ("[0, 30]", "angles")):
         bad = {"k2 = 0.02": "k3 = 0.02", '"psf.npz"': '"psf2.npz"', "[0, 30]": "[0, -30]"}[wrong]
         path.write_text(text.replace(wrong, bad))

@@ -263,7 +263,7 @@ def test_merged_pictures_have_no_lens_shading():
         rows = frame.linear.mean(axis=(0, 2))
         # 20 x 40 pixels of at most 5 % noise: 0.2 %, correlated 0.4 %; the gains follow the map at nodes to 1 %
         assert rows[:20].mean() == pytest.approx(rows[70:90].mean(), rel=0.03)
-        assert stages(frame)["processor.shade"] and frame.gains is not None
+        assert stages(frame)["processor.shade"] and frame.shading is not None
 
 
 def test_merged_pictures_have_no_dead_pixels_and_say_how():

@@ -289,9 +289,9 @@ def test_highlights_stay_in_the_planes_where_their_kernels_are_not_square():
     oblong, aside = {"photodetector": OBLONG}, {"offset": ASIDE}
     for sensor, ratio, split in (({}, 1, True), (oblong, 1, False), (aside, 1, False), (oblong | aside, 2, True)):
         scene = chart("points", size=(24, 20), samples_per_pixel=ratio, wavelengths=BANDS, count=3, highest=1e5)
-        made = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
-        assert (made.highlights is not None) == split
-        assert ("local error beside highlights" in made.predicted) != split
+        plan = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
+        assert (plan.highlights is not None) == split
+        assert ("local error beside highlights" in plan.predicted) != split
 
 
 def test_the_sampling_error_knows_rectangles_and_places():

@@ -35,25 +35,25 @@ def test_ranks_keep_their_errors_in_a_full_frame(device):
 
 
 def check_lines(scene, device):
-    made = made_for(scene)
+    plan = made_for(scene)
     cfa = CAMERA.sensor.cfa_indices
     rows, cols = scene.shape
     # band by band: 31 float64 spectra and tables of a full frame would not fit everywhere
-    brute = Brute(made.q[:1], scene.shape, period=made.period)
+    brute = Brute(plan.q[:1], scene.shape, period=plan.period)
     total = 0
-    for band, weight in enumerate(made.weights.T):
-        one = Brute(made.q[band : band + 1], scene.shape, period=made.period)
+    for band, weight in enumerate(plan.weights.T):
+        one = Brute(plan.q[band : band + 1], scene.shape, period=plan.period)
         spectrum = one.tables[0] * one.transform(scene.content.values[band : band + 1].astype(float))[0]
         total = total + weight[:, None, None] * spectrum
     truth = brute.mosaic(brute.crop(total), cfa)
-    operator = joint_operator(response_of(made), library())
-    tables = airy(made.q, 1.0, *made.period, device=device)
+    operator = joint_operator(response_of(plan), library())
+    tables = airy(plan.q, 1.0, *plan.period, device=device)
     own = Spectra.of(scene.content)
     for rank, line in LINES.items():
         transfers = operator.transfers(rank)
         kernels = integrate(tables, transfers.reshape(-1, 31), device=device).reshape(3, rank, *tables.shape[1:])
         planes = integrate(scene.content.values, operator.w_in[:, :rank].T, device=device)
-        result = mosaic(planes, kernels, np.ones((3, rank)), cfa, "edge", made.period, device=device)
+        result = mosaic(planes, kernels, np.ones((3, rank)), cfa, "edge", plan.period, device=device)
         error = relative(result, truth)
         predicted = operator.predicted(rank, own)
         print(f"{device} {cols}x{rows} rank {rank}: {error:.2e}, predicted {predicted:.2e}")
@@ -67,9 +67,9 @@ def test_flat_frames_are_exact_in_every_plan(device):
     for spectrum in (np.eye(31)[15], reflectances("munsell").at(WAVELENGTHS)[7], 1 + np.cos(WAVELENGTHS / 7)):
         values = np.tile(spectrum[:, None, None], (1, 24, 37)).astype(np.float32)
         scene = Scene(Cube(WAVELENGTHS, values), white_radiance(illuminant("D65"), 100.0))
-        made = made_for(scene)
-        tables = airy(made.q, 1.0, 4, 4, device="numpy")[:, 0, 0]
-        exact = (made.weights * tables) @ values[:, 0, 0].astype(float)
+        plan = made_for(scene)
+        tables = airy(plan.q, 1.0, 4, 4, device="numpy")[:, 0, 0]
+        exact = (plan.weights * tables) @ values[:, 0, 0].astype(float)
         y, x = np.indices((24, 37)) % 2
         exact = 0.01 * exact[CAMERA.sensor.cfa_indices[y, x]]
         for tolerance in (None, 1e-2, 1e-5):

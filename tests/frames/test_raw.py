@@ -94,7 +94,7 @@ def test_a_simulated_chip_knows_its_defects(device):
     noise = gs.Noise(photon="none", dead_pixels=4e-3, hot_pixels=4e-3, hot_current=3e4, seed=5)
     readout = Readout(sensor_of(noise), device)
     shape, time = (96, 130), 0.01
-    raw = np.array(readout.device.numpy(readout.draw(readout.expected(
+    raw = np.array(readout.device.numpy(readout.draw(readout.chip_mean(
         readout.device.array(np.full(shape, 1500.0, np.float32)), time), time)))
     usual = np.median(raw)
     known = readout.defects(shape, time, least=20.0)
@@ -113,7 +113,7 @@ def test_known_defects_of_binned_pixels():
     noise = gs.Noise(photon="none", dead_pixels=4e-3, seed=5)
     readout = Readout(sensor_of(noise, binning=(2, 2)), "opencl")
     mean = readout.device.array(np.full((96, 128), 1500.0, np.float32))
-    raw = np.array(readout.device.numpy(readout.draw(readout.expected(mean, 0.01), 0.01)))
+    raw = np.array(readout.device.numpy(readout.draw(readout.chip_mean(mean, 0.01), 0.01)))
     np.testing.assert_array_equal(readout.defects((96, 128)) == 1, raw < np.median(raw))
 
 
@@ -251,7 +251,7 @@ def test_a_flat_scene_comes_out_flat_from_binned_pixels(size):
     scene = dataclasses.replace(gs.chart("flat", size=size), border="edge")
     exposure = sim.expose(scene, 1.0)
     output = sim.readout.output
-    exposure = sim.lengthened(exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.expected).max()))
+    exposure = sim.lengthened(exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max()))
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
     response = sim.readout.mean(sim.device.array(relative_response(sim.plan(scene)).astype(np.float32)))
     gains, phases = phase_gains(response, output.cfa_indices.shape)

@@ -303,7 +303,7 @@ def test_lengthened_is_exposed_anew():
     longer = simulate.lengthened(simulate.expose(scene, 0.01), 0.04)
     anew = simulate.expose(scene, 0.04)
     assert longer.exposure_time == anew.exposure_time == 0.04
-    for name in ("mean", "expected"):
+    for name in ("mean", "chip_mean"):
         one, other = (np.asarray(simulate.device.numpy(getattr(e, name)), np.float64) for e in (longer, anew))
         # a time, a factor and two products are rounded to float32, and the patterns' product and sum on either side
         np.testing.assert_allclose(one, other, rtol=4 * ULP)
@@ -517,7 +517,7 @@ def test_the_report_names_what_is_on_and_nothing_that_is_off():
     def stages(noise=QUIET, **changes):
         simulate = simulator(MOSAICS["bayer-rggb"], noise, device="numpy", **changes)
         found = {stage.stage: stage.model for stage in simulate(scene).report.stages}
-        return {name: model for name, model in found.items() if name.startswith("sensor.") and name != "sensor.expose"}
+        return {name: model for name, model in found.items() if name.startswith("sensor.") and name != "sensor.collect"}
 
     assert stages() == {"sensor.noise": "no noise; full well, 12 bit"}
     assert stages(bits=32) == {"sensor.noise": "no noise; full well, no converter"}
@@ -528,9 +528,9 @@ def test_the_report_names_what_is_on_and_nothing_that_is_off():
         found = stages(Noise(**{"photon": "none"} | changes))
         assert list(found) == [f"sensor.{stage}"] and words in found[f"sensor.{stage}"]
     for changes, words, more in (
-            ({"prnu": 0.1}, "PRNU", {"sensor.expect"}), ({"dsnu": 1.0}, "DSNU", set()),
-            ({"dead_pixels": 0.1}, "dead pixels", {"sensor.expect"}), ({"row_dsnu": 1.0}, "DSNU", set()),
-            ({"hot_pixels": 0.1, "hot_current": 1.0}, "hot pixels", {"sensor.expect"}),
+            ({"prnu": 0.1}, "PRNU", {"sensor.chip"}), ({"dsnu": 1.0}, "DSNU", set()),
+            ({"dead_pixels": 0.1}, "dead pixels", {"sensor.chip"}), ({"row_dsnu": 1.0}, "DSNU", set()),
+            ({"hot_pixels": 0.1, "hot_current": 1.0}, "hot pixels", {"sensor.chip"}),
             ({"telegraph_pixels": 0.1, "telegraph": 1.0}, "traps", set())):
         found = stages(Noise(photon="none", seed=42, **changes))
         assert set(found) == {"sensor.pattern", "sensor.noise"} | more

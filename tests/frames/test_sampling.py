@@ -179,10 +179,10 @@ def test_frames_of_whole_ratios_are_means_of_the_brute_force(device, ratio):
     camera = camera_of(0.7, "phone")
     scene = chart("slanted-edge", size=(30, 22), samples_per_pixel=ratio)
     simulator = Simulator(camera, device=device, reach=32)
-    made = simulator.plan(scene)
-    assert scene.shape == (22, 30) and made.q[0] == pytest.approx(400e-9 * ratio * camera.optics.f_number / 1.4e-6)
-    brute = Brute(made.q, scene.samples, period=made.period)
-    channels = np.einsum("cl,lyx->cyx", made.weights, brute.crop(
+    plan = simulator.plan(scene)
+    assert scene.shape == (22, 30) and plan.q[0] == pytest.approx(400e-9 * ratio * camera.optics.f_number / 1.4e-6)
+    brute = Brute(plan.q, scene.samples, period=plan.period)
+    channels = np.einsum("cl,lyx->cyx", plan.weights, brute.crop(
         brute.transform(spectra(scene.content)) * brute.tables))
     channels = channels.reshape(3, 22, ratio, 30, ratio).mean(axis=(2, 4))
     truth = 0.01 * np.take_along_axis(channels, camera.sensor.cfa_indices[np.indices((22, 30))[0] % 2,
@@ -210,9 +210,9 @@ def test_flat_fields_are_flat_behind_any_aperture(ratio, model):
     """
     camera = camera_of(0.5, fill_factor=0.6, model=model)
     scene = chart("flat", size=(9, 8), samples_per_pixel=ratio, reflectance=0.3)
-    made = Simulator(camera, device="numpy").plan(scene)
+    plan = Simulator(camera, device="numpy").plan(scene)
     shading = float(np.float32(0.3))
-    np.testing.assert_allclose(mean(scene, camera), 0.01 * shading * made.weights.sum(), rtol=6e-8)
+    np.testing.assert_allclose(mean(scene, camera), 0.01 * shading * plan.weights.sum(), rtol=6e-8)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -239,11 +239,11 @@ def test_highlights_of_a_finer_scene(device):
     camera = camera_of(0.9)
     scene = chart("points", size=(24, 20), samples_per_pixel=3, wavelengths=FEW, count=3, highest=1e4)
     simulator = Simulator(camera, device=device, reach=30)
-    made = simulator.plan(scene)
-    assert made.highlights is not None and len(made.highlights.places) == 3
-    brute = Brute(made.q, scene.samples, period=(400, 400))  # copies of a point add 5e-4 of the background
+    plan = simulator.plan(scene)
+    assert plan.highlights is not None and len(plan.highlights.places) == 3
+    brute = Brute(plan.q, scene.samples, period=(400, 400))  # copies of a point add 5e-4 of the background
     planes = brute.transform(spectra(scene.content), "constant") * brute.tables
-    truth = 0.01 * np.einsum("cl,lyx->yx", made.weights, brute.crop(planes)).reshape(20, 3, 24, 3).mean(axis=(1, 3))
+    truth = 0.01 * np.einsum("cl,lyx->yx", plan.weights, brute.crop(planes)).reshape(20, 3, 24, 3).mean(axis=(1, 3))
     assert (np.abs(mean(scene, camera, device, reach=30) - truth) <= 2e-3 * truth).all()
 
 
@@ -350,8 +350,8 @@ def check_predictions(names, qs, ratios, fills=(1.0,), device=DEVICES[0], **opti
 
                 truth = seen(SCENES[name](FINEST))[0]
                 for ratio in ratios:
-                    result, made = seen(SCENES[name](ratio))
-                    true, predicted = relative(result[inner], truth[inner]), made.predicted["scene sampling"]
+                    result, plan = seen(SCENES[name](ratio))
+                    true, predicted = relative(result[inner], truth[inner]), plan.predicted["scene sampling"]
                     found.append(predicted / true)
                     print(f"{name:16s} Q {q:3.1f} fill {fill:4.2f} ratio {ratio:3.1f}: true {true:.1e}, "
                           f"predicted {predicted:.1e}, {predicted / true:.2f}")

@@ -29,8 +29,8 @@ ENCODE = {"display.encode"}
 COLOUR = {"processor.color", *ENCODE}
 PROCESS = {"processor.adaptive", *COLOUR}
 READ = {"sensor.noise", *PROCESS}
-EXPOSE = {"sensor.expose", "sensor.expect", *READ}
-BLUR = {"optics.airy", "optics.mosaic", *EXPOSE}
+COLLECT = {"sensor.collect", "sensor.chip", *READ}
+BLUR = {"optics.airy", "optics.mosaic", *COLLECT}
 CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
     "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
     "color": ({"processor": {"training": "munsell"}}, COLOUR),
@@ -38,8 +38,8 @@ CHANGES = {  # what changes -> the stages behind it, by the order in which light
     "read noise": ({"noise": {"read": 9.0}}, READ),
     "offsets": ({"noise": {"dsnu": 5.0}}, {"sensor.pattern", *READ}),
     "gain": ({"sensor": {"analog_gain": 4.0}}, READ),
-    "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.expect", *READ}),
-    "exposure": ({"sensor": {"exposure_time": 0.03}}, EXPOSE),
+    "chip": ({"noise": {"seed": 5}}, {"sensor.pattern", "sensor.chip", *READ}),
+    "exposure": ({"sensor": {"exposure_time": 0.03}}, COLLECT),
     "f-number": ({"optics": {"f_number": 4.0}}, BLUR),
     "nothing": ({}, set()),
 }
@@ -114,7 +114,7 @@ def test_the_report_has_every_stage_that_ran(scene):
     names = [stage.stage for stage in report.stages]
     assert len(names) == len(set(names))
     assert {"spectral.integrate", "optics.airy", "optics.mosaic", "sensor.noise", "display.encode"} <= set(names)
-    order = [names.index(name) for name in ("optics.mosaic", "sensor.expose", "sensor.noise", "processor.adaptive",
+    order = [names.index(name) for name in ("optics.mosaic", "sensor.collect", "sensor.noise", "processor.adaptive",
                                             "processor.color", "display.encode")]
     assert order == sorted(order)
     assert 0 < report.ms <= report.wall_ms
@@ -175,12 +175,12 @@ def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
 def test_pictures_are_the_callers_own(scene):
     program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(scene)
     first, second = program.frame(), program.frame(frame=1)
-    before = second.mean.copy(), second.gains.copy()
+    before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
-    first.gains[...] = 0
-    for array, kept in zip((second.mean, second.gains), before, strict=True):
+    first.shading[...] = 0
+    for array, kept in zip((second.mean, second.shading), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-    np.testing.assert_array_equal(program.frame(frame=2).gains, before[1])
+    np.testing.assert_array_equal(program.frame(frame=2).shading, before[1])
 
 
 def test_a_negative_gain_is_refused_at_once(scene):

@@ -38,10 +38,10 @@ def made_for(scene, camera=CAMERA, **options):
     return plan(scene, camera, transform_lengths, fft_length, sampled, **options)
 
 
-def response_of(made):
-    sensor = made.camera.sensor
-    tables = sampled(made.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD)
-    return Response.of(made.weights, tables, sensor.cfa_indices)
+def response_of(plan):
+    sensor = plan.camera.sensor
+    tables = sampled(plan.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD)
+    return Response.of(plan.weights, tables, sensor.cfa_indices)
 
 
 def library(wavelengths=WAVELENGTHS):
@@ -95,15 +95,15 @@ def measured_scenes(shared_data):
 
 def ratios(camera, scene, tables):
     """Predicted over true error for ranks 3, 4 and 6, prior as the planner takes it."""
-    made = made_for(scene, camera)
-    key = (made.q.tobytes(), scene.shape)
-    brute = tables.setdefault(key, Brute(made.q, scene.shape, np.sqrt(camera.sensor.fill_factor)))
+    plan = made_for(scene, camera)
+    key = (plan.q.tobytes(), scene.shape)
+    brute = tables.setdefault(key, Brute(plan.q, scene.shape, np.sqrt(camera.sensor.fill_factor)))
     transformed = brute.transform(spectra(scene.content))
     cfa = camera.sensor.cfa_indices
-    truth = brute.truth(transformed, made.weights, cfa)
+    truth = brute.truth(transformed, plan.weights, cfa)
     own = Spectra.of(scene.content)
     for prior in (own.values, library(scene.wavelengths)):
-        operator = joint_operator(response_of(made), prior)
+        operator = joint_operator(response_of(plan), prior)
         for rank in (3, 4, 6):
             result = brute.fused(transformed, operator.w_in[:, :rank], operator.transfers(rank), cfa)
             yield operator.predicted(rank, own) / relative(result, truth)
@@ -141,8 +141,8 @@ def test_the_tail_of_the_eigenvalues_falls_and_bounds_the_rank():
 @pytest.mark.parametrize("guaranteed", [False, True])
 def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
     """Spectra with no resemblance to the prior: single wavelengths, noise, the lines of a lamp. To 1e-6."""
-    made = made_for(natural((32, 24)))
-    response = response_of(made)
+    plan = made_for(natural((32, 24)))
+    response = response_of(plan)
     if guaranteed:
         operator = channel_operator(response, 2)
         table, transfers = operator.table, operator.transfers
@@ -152,7 +152,7 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
     random = np.random.default_rng(0)
     fields = np.vstack([np.eye(31), random.random((20, 31)), illuminant("FL11", WAVELENGTHS).values])
     flat = np.real(response.tables[:, 0])
-    exact = fields @ (made.weights * flat).T
+    exact = fields @ (plan.weights * flat).T
     fused = np.einsum("ckl,l,fk->fc", transfers, flat, fields @ table.T)
     # of the whole of a pixel's light, since a channel may be all but blind to a line
     assert (np.abs(fused - exact) <= 1e-9 * np.abs(exact).max(axis=1, keepdims=True)).all()
@@ -160,9 +160,9 @@ def test_flat_fields_of_any_spectrum_are_exact(guaranteed):
 
 def test_looser_tolerances_take_fewer_planes():
     scene = natural((192, 128))
-    planes = [made_for(scene, tolerance=Tolerance(rms=rms)).gains.shape[1] for rms in (1e-2, 1e-3, 1e-4, 1e-5)]
+    planes = [made_for(scene, tolerance=Tolerance(rms=rms)).mix.shape[1] for rms in (1e-2, 1e-3, 1e-4, 1e-5)]
     assert planes == sorted(planes) and planes[0] == 3 and planes[-1] < 12
-    assert made_for(scene).gains.shape[1] == 31  # without a tolerance every wavelength is exact
+    assert made_for(scene).mix.shape[1] == 31  # without a tolerance every wavelength is exact
 
 
 def test_spectra_outside_the_prior_raise_the_rank():
@@ -173,7 +173,7 @@ def test_spectra_outside_the_prior_raise_the_rank():
     scene = Scene(Cube(WAVELENGTHS, values), white_radiance(illuminant("D65"), 100.0))
     tame = made_for(natural((96, 64)), tolerance=Tolerance(rms=1e-3))
     wild = made_for(scene, tolerance=Tolerance(rms=1e-3))
-    assert wild.gains.shape[1] > tame.gains.shape[1]
+    assert wild.mix.shape[1] > tame.mix.shape[1]
     brute = Brute(wild.q, scene.shape)
     transformed = brute.transform(values.astype(float))
     cfa = CAMERA.sensor.cfa_indices

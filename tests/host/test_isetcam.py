@@ -10,7 +10,7 @@ import pytest
 
 from gpusim.domain.optics import Optics
 from gpusim.kernels.optics.airy_ref import otf
-from gpusim.kernels.sensor.expose_ref import relative_illumination
+from gpusim.kernels.sensor.collect_ref import relative_illumination
 from gpusim.kernels.spectral.integrate_ref import integrate
 
 

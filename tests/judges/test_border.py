@@ -66,15 +66,15 @@ def scene_of(values, border, margin=0):
     return Scene(Cube(BANDS, values), Spectrum(BANDS, np.full(2, 1e15)), border, margin)
 
 
-def truth(scene, made, waves=(0.0, 0.0), hole=0.0):
+def truth(scene, plan, waves=(0.0, 0.0), hole=0.0):
     """Mean electrons for one second, band by band."""
     border = "edge" if scene.border == "scene" else scene.border
     bands = [picture(plane, q, border, wave, hole)
-             for plane, q, wave in zip(scene.content.values, made.q, waves, strict=True)]
+             for plane, q, wave in zip(scene.content.values, plan.q, waves, strict=True)]
     m = scene.margin
-    channels = np.tensordot(made.weights, np.stack(bands), 1)[:, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m]
+    channels = np.tensordot(plan.weights, np.stack(bands), 1)[:, m : bands[0].shape[0] - m, m : bands[0].shape[1] - m]
     y, x = np.indices(channels.shape[1:])
-    cfa = made.camera.sensor.cfa_indices
+    cfa = plan.camera.sensor.cfa_indices
     return np.take_along_axis(channels, cfa[y % cfa.shape[0], x % cfa.shape[1]][None], 0)[0]
 
 
@@ -92,11 +92,11 @@ def compared(number):
     q = float(0.25 * 16 ** random.uniform())
     scene = scene_of(images(kind, shape, random), border, margin)
     simulator = gs.Simulator(camera(q, name=("mono", "phone")[number // 2 % 2]), device="numpy")
-    made = simulator.plan(scene)
-    own = truth(scene, made)
-    reference = true_mean(gs.Simulator, simulator.camera, scene, made, 1.0)
+    plan = simulator.plan(scene)
+    own = truth(scene, plan)
+    reference = true_mean(gs.Simulator, simulator.camera, scene, plan, 1.0)
     frame = relative(simulator.expose(scene, 1.0).mean - own, own)
-    wrong, predicted = relative(reference - own, own), made.predicted["border"]
+    wrong, predicted = relative(reference - own, own), plan.predicted["border"]
     corners = [abs(reference[at] / own[at] - 1) for at in ((0, 0), (-1, -1), (0, -1), (shape[0] // 2 - margin, 0))]
     print(f"{number}: {kind} {shape[1]}x{shape[0]} {border} q {q:.2f}: reference {wrong:.1e}, at its corners and sides "
           f"{max(corners):.1e}; border {frame:.1e}, predicted {predicted:.1e}")
@@ -134,13 +134,13 @@ def test_highlights_go_on_as_the_border_says(device, border):
     values[:, [0, 59, 30], [0, 40, 50]] = 0.01 * np.array([1e5, 1e4, 1e3])
     scene = scene_of(values, border)
     simulator = gs.Simulator(camera(0.9), device=device)
-    made = simulator.plan(scene)
-    own = truth(scene, made)
+    plan = simulator.plan(scene)
+    own = truth(scene, plan)
     mean = simulator.device.numpy(simulator.expose(scene, 1.0).mean)
-    print(f"{border}: {relative(mean - own, own):.2g}, predicted {made.predicted['border']:.2g}")
+    print(f"{border}: {relative(mean - own, own):.2g}, predicted {plan.predicted['border']:.2g}")
     # of three, one is no part of an edge; or each with its images within 84 pixels along both axes
-    assert len(made.highlights.places) == (1 if border == "edge" else 33)
-    assert 1 / 2.5 < made.predicted["border"] / relative(mean - own, own) < 2.5
+    assert len(plan.highlights.places) == (1 if border == "edge" else 33)
+    assert 1 / 2.5 < plan.predicted["border"] / relative(mean - own, own) < 2.5
     assert relative(mean - own, own) < (0.03 if border == "edge" else 1e-3)
 
 
@@ -150,11 +150,11 @@ def test_the_brightest_pixels_of_a_ramp_are_no_points(border):
     plane = 10 ** (6 * ((np.arange(96) + 0.5) / 96 - 1)) * np.ones((96, 1))
     scene = scene_of(np.stack([plane, plane]).astype(np.float32), border)
     simulator = gs.Simulator(camera(0.9), device="numpy")
-    made = simulator.plan(scene)
-    own = truth(scene, made)
+    plan = simulator.plan(scene)
+    own = truth(scene, plan)
     error = relative(simulator.expose(scene, 1.0).mean - own, own)
     assert error < 2e-3  # 3.6e-2 where split pixels are not continued; what the surroundings lack is 2 q / (pi^3 64)
-    assert 1 / 2.5 < made.predicted["border"] / error < 2.5
+    assert 1 / 2.5 < plan.predicted["border"] / error < 2.5
 
 
 def edge_chart(border):

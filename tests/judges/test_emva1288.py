@@ -19,7 +19,7 @@ from scipy.stats import poisson
 from gpusim.data.emva1288 import full_well, sensor_from_emva1288
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.spectrum import Spectrum
-from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.measure import photon_transfer
@@ -47,7 +47,7 @@ def frames(sensor, mean, count, first=0, exposure_time=EXPOSURE):
                        seed=part.seed, device=DEVICE)
     offset = pattern(*SHAPE, "offset", pixel=part.dsnu, row=part.row_dsnu, column=part.column_dsnu, seed=part.seed,
                      device=DEVICE)
-    expected = expect(np.full(SHAPE, mean, np.float32), response, device=DEVICE)
+    expected = chip(np.full(SHAPE, mean, np.float32), response, device=DEVICE)
     return noise(expected, offset, dark_electrons=part.dark_current * part.warmth * exposure_time,
                  read_noise=part.read, full_well=sensor.full_well, gain=sensor.gain_dn_per_electron,
                  black_level=sensor.black_level, white_level=sensor.white_level, photon=part.photon, seed=1,

@@ -205,8 +205,8 @@ def cuda(tmp_path_factory):
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 def test_every_plan_is_cuda_machine_code(tolerance, camera, size, cuda):
     simulator = planned("warp:cpu", camera, tolerance)
-    made, pattern = simulator.plan(gs.chart("ramp", size=size)), simulator.camera.sensor.cfa_indices
-    launch_all(cuda, made.scene.samples, made.period, pattern if made.folded else np.zeros((1, 1), np.int32))
+    plan, pattern = simulator.plan(gs.chart("ramp", size=size)), simulator.camera.sensor.cfa_indices
+    launch_all(cuda, plan.scene.samples, plan.period, pattern if plan.folded else np.zeros((1, 1), np.int32))
 
 
 @pytest.mark.slow

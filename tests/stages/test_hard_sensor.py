@@ -129,7 +129,7 @@ def test_22_a_chip_is_the_same_on_every_device_in_any_order():
     for name in ALL:
         device = open_device(name)
         readout = Readout(replace(SENSOR, noise=CHIP), device)
-        expected = readout.expected(device.array(mean), 0.5)
+        expected = readout.chip_mean(device.array(mean), 0.5)
         batch = device.numpy(readout.draw(expected, 0.5, seed=7, frame=20, frames=3))
         backwards = [device.numpy(readout.draw(expected, 0.5, seed=7, frame=frame)) for frame in (22, 21, 20)]
         np.testing.assert_array_equal(batch, backwards[::-1])

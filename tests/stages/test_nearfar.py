@@ -62,14 +62,14 @@ def test_error_on_a_natural_scene(device, seed):
 def fused_scene():
     """A 31-band scene, four fused planes of it and their kernels, and the channels band by band in float64."""
     scene = fusion.natural(SHAPE[::-1])
-    made = fusion.made_for(scene)
-    operator = joint_operator(fusion.response_of(made), fusion.library())
+    plan = fusion.made_for(scene)
+    operator = joint_operator(fusion.response_of(plan), fusion.library())
     reach = 127  # 31 float64 convolutions with twice that would take longer than all other tests here
     period = (2 * reach + 2,) * 2
-    bands = np.array([kernel_of(table, period, reach) for table in airy(made.q, 1.0, *period, device="numpy")])
+    bands = np.array([kernel_of(table, period, reach) for table in airy(plan.q, 1.0, *period, device="numpy")])
     values = scene.content.values
     channels = sum(weights[:, None, None] * truth(plane, kernel)
-                   for weights, plane, kernel in zip(made.weights.T, values, bands, strict=True))
+                   for weights, plane, kernel in zip(plan.weights.T, values, bands, strict=True))
     planes = np.tensordot(operator.w_in[:, :4].T, values, 1).astype(np.float32)
     return planes, np.tensordot(operator.transfers(4), bands, 1), channels
 
@@ -128,11 +128,11 @@ def test_planes_and_gains_add_up(device):
     """Kernels shared by the channels, and the same kernels given to each channel, are one blur."""
     random = np.random.default_rng(5)
     planes = random.random((2, 40, 60), np.float32)
-    gains = random.uniform(-1, 1, (3, 2)).astype(np.float32)
+    mix = random.uniform(-1, 1, (3, 2)).astype(np.float32)
     shared = levels_of(kernels()[:2].transpose(1, 0, 2, 3))
     own = [tuple(np.repeat(part, 3, axis=0) for part in level) for level in shared]
-    one = nearfar(planes, shared, gains, "reflect", device=device)
-    other = nearfar(planes, own, gains, "reflect", device=device)
+    one = nearfar(planes, shared, mix, "reflect", device=device)
+    other = nearfar(planes, own, mix, "reflect", device=device)
     # two orders of the same sums: roundings of 6e-8 of planes below 2, some ten in a row
     assert np.abs(one - other).max() <= 1.2e-6
 
@@ -153,17 +153,17 @@ def test_what_cannot_be_split_is_refused():
 
 
 def test_levels_that_do_not_fit_are_refused():
-    planes, gains = np.ones((2, 8, 8), np.float32), np.ones((3, 2))
+    planes, mix = np.ones((2, 8, 8), np.float32), np.ones((3, 2))
 
-    def blur(shape=(1, 2, 1, 3), gains=gains, border="edge", factor=2, fill=1.0, levels=None):
+    def blur(shape=(1, 2, 1, 3), mix=mix, border="edge", factor=2, fill=1.0, levels=None):
         level = tuple(np.full(shape, fill) for _ in range(2))
-        nearfar(planes, [level] if levels is None else levels, gains, border, factor, device=DEVICES[0])
+        nearfar(planes, [level] if levels is None else levels, mix, border, factor, device=DEVICES[0])
 
     blur()
     for options, words in (({"shape": (2, 2, 1, 3)}, "3"), ({"shape": (1, 3, 1, 3)}, "3 planes"),
                            ({"shape": (1, 2, 1, 4)}, "4 taps"), ({"shape": (1, 2, 0, 3)}, "zero"),
                            ({"fill": np.inf}, "finite"), ({"levels": []}, "one at least"),
-                           ({"gains": np.ones((3, 1))}, r"\(3, 1\)")):
+                           ({"mix": np.ones((3, 1))}, r"\(3, 1\)")):
         with pytest.raises(BadData, match=words):
             blur(**options)
     with pytest.raises(UnknownName):

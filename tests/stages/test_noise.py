@@ -288,7 +288,7 @@ def test_mean_variance_and_skewness_of_the_complete_chain(chip, photon, mean, er
     moments = []
     for seed in range(chips):
         readout = Readout(replace(SENSOR, noise=replace(chip, photon=photon, seed=seed)), device)
-        expected = readout.expected(device.array(np.full((size, size), mean, f32)), seconds)
+        expected = readout.chip_mean(device.array(np.full((size, size), mean, f32)), seconds)
         raw = device.numpy(readout.draw(expected, seconds, seed=seed, frame=100 + seed)).astype(np.float64)
         assert raw.min() > 0
         assert raw.max() < 65535
@@ -308,7 +308,7 @@ def test_all_parameters_are_recovered_from_two_frames():
     device = open_device("numpy")
     sensor = replace(SENSOR, gain=gain, analog_gain=1.0, analog_offset=0.0, black_level=black, noise=chip)
     readout = Readout(sensor, device)
-    expected = readout.expected(np.full((512, 512), level, f32), 1.0)
+    expected = readout.chip_mean(np.full((512, 512), level, f32), 1.0)
     first, second = (readout.draw(expected, 1.0, frame=frame).astype(np.float64).ravel() for frame in (0, 1))
     n, fixed = first.size, (chip.prnu * level) ** 2 + chip.dsnu**2
     # EMVA 1288: differences of frames hold the temporal variance, their covariance the fixed one; 1/12 is the rounding
@@ -326,7 +326,7 @@ def test_patterns_belong_to_the_chip_and_temporal_noise_to_the_frame():
 
     def draw(chip, **place):
         readout = Readout(replace(SENSOR, bits=32, noise=chip), device)
-        return readout.draw(readout.expected(mean, 1.0), 1.0, **place)
+        return readout.draw(readout.chip_mean(mean, 1.0), 1.0, **place)
 
     fixed = Noise(photon="none", prnu=0.1, dsnu=1.0)
     np.testing.assert_array_equal(draw(fixed, frame=1, seed=2), draw(fixed, frame=7))
@@ -344,7 +344,7 @@ def test_what_is_off_costs_no_launch(monkeypatch):
         launched.append(kernel), launch(stage, kernel, *rest, **options)))
     readout = Readout(replace(SENSOR, noise=Noise(photon="none")), device)
     mean = device.array(np.full((4, 5), 9.0, f32))
-    readout.draw(readout.expected(mean, 1.0), 1.0)
+    readout.draw(readout.chip_mean(mean, 1.0), 1.0)
     assert launched == ["noise"]
     assert set(readout.models()) == {"sensor.noise"}
 

@@ -1,6 +1,6 @@
 """Fixed patterns of a chip and the electrons it is expected to collect: the same bits, and the statistics they promise.
 
-`sensor.pattern` and `sensor.expect` have their cases compared bit for bit, on every device, in test_stages.py.
+`sensor.pattern` and `sensor.chip` have their cases compared bit for bit, on every device, in test_stages.py.
 """
 
 from functools import partial
@@ -14,7 +14,7 @@ from scipy import stats
 
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.pattern import PLANES, pattern
 from gpusim.kernels.stage import stage_module
 
@@ -32,7 +32,7 @@ def whole():
 # ---------------------------------------------------------------- the same bits everywhere
 
 
-@pytest.mark.parametrize("stage", ["sensor.pattern", "sensor.expect", "sensor.noise"])
+@pytest.mark.parametrize("stage", ["sensor.pattern", "sensor.chip", "sensor.noise"])
 def test_every_case_asks_for_the_same_bits(stage):
     assert {(case.metric, case.tolerance) for case in stage_module(stage).cases()} == {("exact", 0.0)}
 
@@ -150,8 +150,8 @@ def test_expected_electrons_follow_the_formula():
     random = np.random.default_rng(2)
     mean, dark = random.exponential(100, (40, 50)), random.exponential(1, (40, 50))
     response = random.normal(1, 0.5, (40, 50))
-    expected = expect(mean.astype(np.float32), response.astype(np.float32), dark.astype(np.float32), scale=0.3,
-                      dark_time=2.5, device="numpy")
+    expected = chip(mean.astype(np.float32), response.astype(np.float32), dark.astype(np.float32), scale=0.3,
+                    dark_time=2.5, device="numpy")
     # four roundings of 2^-24 each, beside those of the inputs and of both factors; the sum has no cancellation
     np.testing.assert_allclose(expected, 0.3 * mean * np.maximum(response, 0) + 2.5 * dark, rtol=8 * 2.0**-24)
 
@@ -160,4 +160,4 @@ def test_expected_electrons_follow_the_formula():
     ("scale", -1.0, OutOfRange), ("dark_time", np.inf, OutOfRange), ("response", np.ones((2, 3), np.float32), BadData)])
 def test_impossible_expectations_are_named(key, value, error):
     with pytest.raises(error, match=key):
-        expect(np.ones((2, 2), np.float32), **{key: value}, device=DEVICES[0])
+        chip(np.ones((2, 2), np.float32), **{key: value}, device=DEVICES[0])

@@ -12,7 +12,7 @@ from devices import BROKEN, DEVICES
 from gpusim.backends.probe import best
 from gpusim.backends.select import open_device
 from gpusim.kernels.processor.linear import linear
-from gpusim.kernels.sensor.expect import expect
+from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.stage import ROOT, public_function, stage_module, stage_names
 from gpusim.verify import verify
 
@@ -78,8 +78,8 @@ def test_a_wrong_call_names_the_stage(call, words, device):
 def test_a_type_error_of_the_stage_itself_stays():
     """Its arguments fit: what is wrong is a value, and the message is that of whoever found it."""
     with pytest.raises(TypeError) as caught:
-        expect(np.ones((2, 2), np.float32), scale=object(), device="numpy")
-    assert "sensor.expect" not in str(caught.value)
+        chip(np.ones((2, 2), np.float32), scale=object(), device="numpy")
+    assert "sensor.chip" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["opencl:99", "warp:cuda:99", "metal:0", "opencl:no-such-vendor"])

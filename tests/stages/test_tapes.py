@@ -8,10 +8,10 @@ from gpusim.backends.select import open_device
 from gpusim.backends.tape import SMALL, OwnTape, Tape, noted
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.sensor.bin import bin as binned
-from gpusim.kernels.sensor.expect import expect
-from gpusim.kernels.sensor.expect import retime as expect_for
-from gpusim.kernels.sensor.expose import expose
-from gpusim.kernels.sensor.expose import retime as expose_for
+from gpusim.kernels.sensor.chip import chip
+from gpusim.kernels.sensor.chip import retime as chip_for
+from gpusim.kernels.sensor.collect import collect
+from gpusim.kernels.sensor.collect import retime as collect_for
 from gpusim.kernels.sensor.noise import noise, redraw
 from gpusim.kernels.spectral.integrate import integrate
 
@@ -27,9 +27,9 @@ def device(request):
 def chain(device, content, weights, seconds, cfa=BAYER, twice=False):
     """A few stages: planes by a constant table, the mosaic, another exposure; sometimes a step more."""
     planes = integrate(content, device.array(weights), device=device)
-    mean = expose(planes, cfa, seconds, 1e-3, device=device)
-    mean = expect(mean, scale=0.5, device=device)
-    return expect(mean, scale=2.0, device=device) if twice else mean
+    mean = collect(planes, cfa, seconds, 1e-3, device=device)
+    mean = chip(mean, scale=0.5, device=device)
+    return chip(mean, scale=2.0, device=device) if twice else mean
 
 
 def values(device, array):
@@ -62,7 +62,7 @@ def test_tapes_that_share_an_array_keep_it_apart(device):
 
     def found(tape, array):
         with noted(tape):
-            return values_after(device, lambda: expose(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device))
+            return values_after(device, lambda: collect(array, np.zeros((1, 1), np.int32), 0.5, 0.0, device=device))
 
     first, _ = (found(tape, shared) for tape in tapes)
     second = found(tapes[0], other)
@@ -163,17 +163,17 @@ def test_another_frame_is_drawn_by_the_launches_of_one(device):
 def test_another_time_is_set_in_the_launches_of_one(device):
     rates, dark, tapes = cube(device, (3, 34, 46)), device.array(RANDOM.random((34, 46), np.float32)), (Tape(), Tape())
     with noted(tapes[0]):
-        mean = expose(rates, BAYER, 0.1, 1e-3, device=device)
+        mean = collect(rates, BAYER, 0.1, 1e-3, device=device)
     with noted(tapes[1]):
-        expected = expect(mean, None, dark, dark_time=0.1, device=device)
-    expose_for(tapes[0], 0.7)
-    expect_for(tapes[1], 2.5)
+        expected = chip(mean, None, dark, dark_time=0.1, device=device)
+    collect_for(tapes[0], 0.7)
+    chip_for(tapes[1], 2.5)
     for tape in tapes:
         tape.replay()
-    fresh = expose(rates, BAYER, 0.7, 1e-3, device=device)
+    fresh = collect(rates, BAYER, 0.7, 1e-3, device=device)
     np.testing.assert_array_equal(values(device, mean), values(device, fresh))
     np.testing.assert_array_equal(values(device, expected),
-                                  values(device, expect(fresh, None, dark, dark_time=2.5, device=device)))
+                                  values(device, chip(fresh, None, dark, dark_time=2.5, device=device)))
 
 
 def test_results_on_a_tape_of_ones_own_are_kept(device):

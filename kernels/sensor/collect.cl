@@ -1,5 +1,5 @@
 // One pixel per work-item reads only its own channel. PERIOD_Y and PERIOD_X come from the host.
-__kernel void expose(
+__kernel void collect(
     // in:
     __global const float *restrict rates,  // [channels][rows][cols]
     __global const int *restrict cfa,      // [PERIOD_Y][PERIOD_X]

@@ -1,5 +1,5 @@
 // One pixel of one plane per work-item; memory-bound.
-__kernel void gain(
+__kernel void falloff(
     // in:
     __global const float *restrict planes,  // [planes][rows][cols]
     __global const float *restrict gains,   // [planes or 1][rows][cols]

@@ -10,7 +10,7 @@ def relative_illumination(rows, cols, slope):
     return np.cos(np.arctan(np.hypot(y, x) * slope)) ** 4
 
 
-def expose(rates, cfa, exposure_time, slope):
+def collect(rates, cfa, exposure_time, slope):
     """See the contract."""
     rows, cols = rates.shape[1:]
     y, x = np.indices((rows, cols))

@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def expose(
+def collect(
     # in:
     rates: wp.array3d[float],
     cfa: wp.array2d[int],

@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def gain(
+def falloff(
     # in:
     planes: wp.array3d[float],
     gains: wp.array3d[float],

@@ -3,6 +3,6 @@
 import numpy as np
 
 
-def gain(planes, gains):
+def falloff(planes, gains):
     """See the contract."""
     return np.asarray(planes, np.float64) * np.asarray(gains, np.float64)

@@ -1,7 +1,7 @@
 // What one chip is expected to collect. From the host: RESPONSE, DARK, 0 or 1.
 #pragma OPENCL FP_CONTRACT OFF
 
-__kernel void expect(
+__kernel void chip(
     // in:
     __global const float *restrict mean,      // [pixels]
     __global const float *restrict response,  // [pixels], if RESPONSE

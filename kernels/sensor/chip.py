@@ -15,7 +15,7 @@ from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
+def chip(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
     """Mean electrons of every pixel of this chip.
 
     mean: of the scene, shape (rows, cols) [e-]. response: relative, dark: dark current [e- s-1], see `sensor.pattern`.
@@ -33,16 +33,16 @@ def expect(device, mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
     use = [int(plane is not None) for plane in planes[1:]]
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
-    device.launch("sensor.expect", "expect", (size,), *planes, expected,
+    device.launch("sensor.chip", "chip", (size,), *planes, expected,
                   *(() if device.kind == "opencl" else use), size, float(scale), float(dark_time),
                   defines={"RESPONSE": use[0], "DARK": use[1]})
     return device.reshape(expected, tuple(mean.shape))
 
 
 def retime(tape, dark_time):
-    """Have a tape on which electrons were expected expect them of another dark time [s]."""
+    """Have a tape on which a chip's means were made make them of another dark time [s]."""
     for command in tape.commands:
-        if command.name == "expect":
+        if command.name == "chip":
             command.set((*command.args[:-1], float(dark_time)))
 
 

@@ -9,7 +9,7 @@ MOST = wp.constant(1e30)
 
 
 @wp.kernel
-def expect(
+def chip(
     # in:
     mean: wp.array[float], response: wp.array[float], dark: wp.array[float],
     # out:

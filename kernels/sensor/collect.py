@@ -14,7 +14,7 @@ from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def expose(device, rates, cfa, exposure_time, slope):
+def collect(device, rates, cfa, exposure_time, slope):
     """Mean electrons of every pixel of the mosaic.
 
     rates: electrons per second if every pixel saw every channel, shape (channels, rows, cols). cfa: channel of each
@@ -25,16 +25,16 @@ def expose(device, rates, cfa, exposure_time, slope):
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable costs as much as everything else together.
-    device.launch("sensor.expose", "expose", (rows, cols), rates, cfa, mean, float(exposure_time), float(slope),
+    device.launch("sensor.collect", "collect", (rows, cols), rates, cfa, mean, float(exposure_time), float(slope),
                   rows, cols, *(() if device.kind == "opencl" else cfa.shape),
                   defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]})
     return mean
 
 
 def retime(tape, exposure_time):
-    """Have a tape on which mosaics were exposed expose them for another time [s]."""
+    """Have a tape on which electrons were collected collect them for another time [s]."""
     for command in tape.commands:
-        if command.name == "expose":
+        if command.name == "collect":
             command.set((*command.args[:3], float(exposure_time), *command.args[4:]))
 
 

@@ -1,7 +1,7 @@
-"""Gain of every pixel: relative illumination of a measured lens, falloff of microlenses toward the corner.
+"""Fall-off of every pixel: relative illumination of a measured lens, falloff of microlenses toward the corner.
 
 Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1]
--> planes (planes, rows, cols) float32 of the planes' unit. The cos^4 law alone needs no map: `sensor.expose` has it.
+-> planes (planes, rows, cols) float32 of the planes' unit. The cos^4 law alone needs no map: `sensor.collect` has it.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def gain(device, planes, gains):
+def falloff(device, planes, gains):
     """Multiply every plane by a map, its own or one for all.
 
     planes: shape (planes, rows, cols). gains: shape (1 or planes, rows, cols).
@@ -20,7 +20,7 @@ def gain(device, planes, gains):
     planes, gains = device.array(planes), device.array(gains)
     own = int(gains.shape[0] > 1)
     out = device.empty((count, rows, cols))
-    device.launch("optics.gain", "gain", out.shape, planes, gains, out, own, *out.shape)
+    device.launch("optics.falloff", "falloff", out.shape, planes, gains, out, own, *out.shape)
     return out
 
 

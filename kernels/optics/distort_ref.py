@@ -86,7 +86,7 @@ def _area(plane, grid, shape, border, density):
     return density * total
 
 
-def warp(planes, grids, shape, border, method="cubic", density=1.0):
+def distort(planes, grids, shape, border, method="cubic", density=1.0):
     """See the contract."""
     per_map = len(planes) // len(grids)
     out = np.empty((len(planes), *shape))

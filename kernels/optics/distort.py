@@ -1,7 +1,7 @@
 """Geometric resampling that conserves flux: distortion and lateral colour.
 
 Ports: planes (planes, source_rows, source_cols) float32, grids (1 or planes, ny, nx, 3) float32
--> warped (planes, rows, cols) float32 of the planes' unit (energy per area).
+-> distorted (planes, rows, cols) float32 of the planes' unit (energy per area).
 
 A grid divides the frame evenly, its outermost nodes on the frame's edges (half a pixel beyond the outermost pixels'
 indices). Each node holds what to add to a pixel's row and column for its place among the source samples, and the flux
@@ -22,7 +22,7 @@ from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def warp(device, planes, grids, shape, border, method="cubic", density=1.0):
+def distort(device, planes, grids, shape, border, method="cubic", density=1.0):
     """Resample every plane through the inverse mapping of `grids`.
 
     planes: shape (planes, source_rows, source_cols). grids: shape (1 or planes, ny, nx, 3), ny and nx
@@ -41,13 +41,13 @@ def warp(device, planes, grids, shape, border, method="cubic", density=1.0):
     border, per_map, sizes = BORDERS[border], count // maps, (source_rows, source_cols, nx, maps, *shape)
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
     defines = {"PLANES": per_map, "BORDER": border}
-    device.launch("optics.warp", "along_columns", lines.shape, device.reshape(grids, (maps, ny, 3 * nx)), lines,
+    device.launch("optics.distort", "along_columns", lines.shape, device.reshape(grids, (maps, ny, 3 * nx)), lines,
                   maps, ny, 3 * nx, shape[0], defines=defines)
     if method == "cubic":
-        device.launch("optics.warp", "cubic", (maps, *shape), planes, lines, out,
+        device.launch("optics.distort", "cubic", (maps, *shape), planes, lines, out,
                       *(() if device.kind == "opencl" else (border, per_map)), *sizes, defines=defines)
     else:
-        device.launch("optics.warp", "area", (maps, *shape), planes, lines, out, float(density),
+        device.launch("optics.distort", "area", (maps, *shape), planes, lines, out, float(density),
                       *(() if device.kind == "opencl" else (span, border, per_map)), *sizes,
                       defines={**defines, "SPAN": span})
     return out

@@ -5,7 +5,7 @@ import numpy as np
 MOST = np.float32(1e30)  # stands for infinity, so that no inf 0 arises
 
 
-def expect(mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
+def chip(mean, response=None, dark=None, *, scale=1.0, dark_time=0.0):
     """See the contract."""
     mean = np.float32(scale) * np.asarray(mean, np.float32)
     expected = np.where(mean > MOST, MOST, mean)
