@@ -156,11 +156,8 @@ class Developer:
         return raw, numbers
 
     def in_one_pass(self, raw, rendering: Rendering):
-        """Display codes (rows, cols, 3) of raw values, as by `encoded`; None where that takes several passes."""
-        sensor, processor = self.camera.sensor, self.camera.processor
-        if (processor.demosaic != "bilinear" or not sensor.bayer_phase or sensor.stacked or sensor.bits == FLOAT_BITS
-                or processor.defects != "none" or processor.denoise or processor.shading or processor.estimates_white):
-            return None
+        """Display codes (rows, cols, 3) of raw values, as by `encoded`, of a camera that `is_developed_at_once`."""
+        sensor = self.camera.sensor
         return develop(raw, self.device.array(rendering.display_from_camera), self._thresholds,
                        phase="".join(sensor.cfa), black_level=sensor.dark_level,
                        scale=1 / (sensor.white_level - sensor.dark_level),

@@ -134,6 +134,12 @@ class Readout:
         return self.device.stack([self._binned(self.device.part(raw, number), average=True)
                                   for number in range(raw.shape[0])])
 
+    def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
+        """What `draw` tells the stage `sensor.noise` that depends on exposure time [s] and analog gain."""
+        sensor = self.operated(gain)
+        return {"dark_electrons": self.dark_electrons(exposure_time), "read_noise": sensor.read_sigma,
+                "gain": sensor.gain_dn_per_electron, "black_level": sensor.dark_level}
+
     def average(self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
         if not (count >= 1 and count == int(count)):

@@ -6,7 +6,7 @@ from gpusim.domain.display import Display
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
-from gpusim.domain.sensor import Sensor
+from gpusim.domain.sensor import FLOAT_BITS, Sensor
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,14 @@ class Camera:
             raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                              "colour needs at least 3")
+
+    @property
+    def is_developed_at_once(self) -> bool:
+        """Whether one pass leads from raw values to display codes: bilinear, of a Bayer mosaic, and nothing more."""
+        sensor, processor = self.sensor, self.processor
+        return (processor.demosaic == "bilinear" and sensor.bayer_phase is not None and not sensor.stacked
+                and sensor.bits != FLOAT_BITS and processor.defects == "none" and not processor.denoise
+                and not processor.shading and not processor.estimates_white)
 
     def _check_mosaic(self):
         sensor, processor = self.sensor, self.processor

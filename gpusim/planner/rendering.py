@@ -1,6 +1,7 @@
 """How this camera's digital numbers become display colours, at this exposure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from operator import attrgetter
 
 import numpy as np
 
@@ -8,10 +9,13 @@ from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
+from gpusim.domain.processor import Processor
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.planner.balance import estimate_white
 from gpusim.planner.color import TransformSet, adaptation, color_matrix, transform_set
 from gpusim.planner.plan import Plan
+
+_BEFORE_TONE = attrgetter(*(part.name for part in fields(Processor) if part.name != "tone"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,26 @@ class Rendering:
     diffuser: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Colors:
+    """A Rendering but for its levels: of white as 1."""
+
+    matrix: np.ndarray
+    neutral: np.ndarray
+    camera_from_xyz: np.ndarray | None
+    model: str
+
+    @classmethod
+    def of(cls, matrix, neutral, to_xyz, model):
+        # the inverse of a square matrix; more channels than three have none, and no DNG either
+        is_square = to_xyz is not None and to_xyz.shape == (3, 3)
+        return cls(matrix, neutral, np.linalg.inv(to_xyz) if is_square else None, model)
+
+    def at(self, white, saturation, diffuser):
+        return Rendering(self.matrix / white, self.neutral * saturation, self.neutral, self.camera_from_xyz, self.model,
+                         white, saturation, diffuser)
+
+
 def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
               keep=lambda _, __, make: make()) -> Rendering:
     """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
@@ -48,32 +72,50 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
     may give what make() gave before for the same key.
     Raises BadData (see `color_matrix`).
     """
-    scene = plan.scene
-    sensor, processor, letters = camera.sensor, camera.processor, planes_of(camera)
-    known = scene.light_is_known and processor.white_balance == "illuminant"
-    light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
-    rates = plan.white_rate
-    if rates is not None and letters != XYZ:
-        rates = rates[[sensor.channels.index(letter) for letter in letters]]
+    sensor, processor = camera.sensor, camera.processor
+    key = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics.transmission, sensor.qe,
+           sensor.channels, without_tone(processor), camera.display)
+    colors = keep("colors", key, lambda: _colors(plan, camera, keep))
     saturation = sensor.saturation * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
-    white = diffuser = saturation  # camera values in the strongest channel
+    white, rates = saturation, _white_rates(plan, camera)  # camera values in the strongest channel
     if rates is not None:
         white = diffuser = saturation * (rates.max() * exposure_time * pixels / sensor.saturation)
     if processor.scaling == "exposure":
         white = saturation * sensor.auto_exposure.white
-    levels = white, saturation, 1.0 if rates is None else diffuser / white
+    return colors.at(white, saturation, 1.0 if rates is None else diffuser / white)
+
+
+def without_tone(processor) -> tuple:
+    """What a processor does before its tone curve, as a part of a key."""
+    return _BEFORE_TONE(processor)
+
+
+def _white_rates(plan, camera):
+    """Electrons per second that a perfect white diffuser gives in the camera's planes; None if that is not known."""
+    rates, letters = plan.white_rate, planes_of(camera)
+    if rates is None or letters == XYZ:
+        return rates
+    return rates[[camera.sensor.channels.index(letter) for letter in letters]]
+
+
+def _colors(plan, camera, keep):
+    """Transforms by which white in the scene's light comes out neutral."""
+    scene, sensor, processor, letters = plan.scene, camera.sensor, camera.processor, planes_of(camera)
+    known = scene.light_is_known and processor.white_balance == "illuminant"
+    light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
+    rates = _white_rates(plan, camera)
     if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
-        return _scaled(matrix, neutral, None, f"XYZ in {processor.target} to the display", *levels)
+        return _Colors.of(matrix, neutral, None, f"XYZ in {processor.target} to the display")
     if processor.color != "none":
         key = (camera.optics.transmission, sensor.qe, letters, light, processor.training, processor.color,
                processor.target, camera.display)
-        made = keep("colour matrix", key, lambda: color_matrix(
+        found = keep("colour matrix", key, lambda: color_matrix(
             efficiency(camera, letters), light, processor.training, method=processor.color,
             target_light=processor.target, display=camera.display, channels=letters))
-        matrix, neutral, to_xyz = made.matrix, made.white, made.xyz
+        matrix, neutral, to_xyz = found.matrix, found.white, found.xyz
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
     else:
         neutral = np.ones(len(letters))
@@ -83,7 +125,7 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
     if len(neutral) > 1:
         model += (f", white balance for {light.name or 'the scene light'}" if known else
                   f", as if the light were {processor.target}")
-    return _scaled(matrix, neutral, to_xyz, model, *levels)
+    return _Colors.of(matrix, neutral, to_xyz, model)
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
@@ -103,11 +145,11 @@ def rebalanced(once: Rendering, camera: Camera, transforms: TransformSet | None,
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), estimate.white)
-        return _scaled(matrix, estimate.white, None, f"{model}, {estimate.model}", *levels)
+        return _Colors.of(matrix, estimate.white, None, f"{model}, {estimate.model}").at(*levels)
     assert transforms is not None  # color is not "none"
     made = transforms.at(estimate.white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {estimate.model}"
-    return _scaled(made.matrix, made.white, made.xyz, model, *levels)
+    return _Colors.of(made.matrix, made.white, made.xyz, model).at(*levels)
 
 
 def transforms_of(camera: Camera) -> TransformSet:
@@ -117,12 +159,6 @@ def transforms_of(camera: Camera) -> TransformSet:
     letters = planes_of(camera)
     return transform_set(efficiency(camera, letters), processor.training, channels=letters, method=method,
                          target_light=processor.target, display=camera.display)
-
-
-def _scaled(matrix, neutral, to_xyz, model, white, saturation, diffuser):
-    # the inverse of a square matrix; more channels than three have none, and no DNG either
-    camera_from_xyz = np.linalg.inv(to_xyz) if to_xyz is not None and to_xyz.shape == (3, 3) else None
-    return Rendering(matrix / white, neutral * saturation, neutral, camera_from_xyz, model, white, saturation, diffuser)
 
 
 def _channels_shown(letters, neutral):

@@ -17,11 +17,11 @@ from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
-from gpusim.planner.rendering import rendering
+from gpusim.planner.rendering import rendering, without_tone
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
 from gpusim.program.outputs import OUTPUTS, output_of
-from gpusim.program.shots import Shots, without_tone
+from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
 
@@ -194,12 +194,15 @@ class Program:
         stored, samples, planes = self._planes(plan)
         if planes is not last.planes or self._rates(plan, planes) is not last.rates:
             return None
-        if last.scene is self.scene and self._pending is None:
-            return dataclasses.replace(last, exposure=self._exposed_by(last))
-        if not is_same or (self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None):
-            return None  # it may be metered
+        is_metered = self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
+        if last.scene is not self.scene and (not is_same or is_metered):
+            return None
         self.judge()
-        if self.before.plan is None or not self.kept.refill("mean", "chip_mean"):
+        if self.before.plan is None:
+            return None
+        if last.scene is self.scene:
+            return dataclasses.replace(last, exposure=self._exposed_by(last))
+        if not self.kept.refill("mean", "chip_mean"):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
@@ -314,11 +317,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
         nodes = None if plan.distortion is None else plan.distortion.nodes
         falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
         shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
-    operated = camera.sensor
-    colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, sensor.qe, sensor.cfa,
-              sensor.channels, sensor.stacked, operated.saturation, operated.gain_dn_per_electron,
-              operated.white_level, operated.dark_level, sensor.auto_exposure, without_tone(processor), camera.display,
-              seconds, readout.pixels)
+    colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, One(camera.sensor),
+              without_tone(processor), camera.display, seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
     return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, shading, device=simulator.device)

@@ -1,7 +1,7 @@
 """From an exposure on: frames are drawn, processed and reported; what a change does not touch is kept."""
 
 import time
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,18 +9,13 @@ from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame
 from gpusim.kernels.sensor.noise import redraw
-from gpusim.planner.rendering import transforms_of
+from gpusim.planner.rendering import transforms_of, without_tone
 from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept, One
 from gpusim.report import Error, Report, StageReport, merged
 from gpusim.truth import PROBES
 
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
-
-
-def without_tone(processor) -> tuple:
-    """What a processor does before its tone curve, as a part of a key."""
-    return tuple(getattr(processor, part.name) for part in fields(processor) if part.name != "tone")
 
 
 class Shots:
@@ -36,11 +31,11 @@ class Shots:
     def raw(self, seed: int = 0, frame: int = 0):
         """Digital numbers (rows, cols) of one frame."""
         exposure, readout = self.exposure, self.simulator.readout
-        seconds, chip_mean = exposure.exposure_time, self._kept.one(exposure.chip_mean)
-        of = chip_mean, exposure.camera.sensor, readout.sensor, (seconds, seed, frame)
+        seconds, gain = exposure.exposure_time, exposure.gain
+        of = self._kept.one(exposure.chip_mean), One(readout), (seconds, gain, seed, frame)
         return self._kept("raw", of, lambda: readout.draw(
-            exposure.chip_mean, seconds, gain=exposure.gain, seed=seed, frame=frame),
-            lambda tape: redraw(tape, seed, frame, readout.dark_electrons(seconds)))
+            exposure.chip_mean, seconds, gain=gain, seed=seed, frame=frame),
+            lambda tape: redraw(tape, seed, frame, **readout.numbers(seconds, gain)))
 
     @property
     def developer(self) -> Developer:
@@ -49,7 +44,8 @@ class Shots:
         sensor = camera.sensor
         lights = camera.optics.transmission, sensor.qe, sensor.cfa, sensor.channels, camera.processor, camera.display
         kept, averaged = simulator.kept, simulator.readout.averaged
-        return kept("developer", (camera, averaged), lambda: Developer(
+        of = One(sensor), camera.optics, camera.processor, camera.display, averaged
+        return kept("developer", of, lambda: Developer(
             camera, simulator.device, averaged, lambda: kept("transforms", lights, lambda: transforms_of(camera)),
             kept("edges of codes", (camera.display, camera.processor.tone), lambda: edges_of(camera))))
 
@@ -71,18 +67,28 @@ class Shots:
         exposure, processor, known = self.exposure, self.exposure.camera.processor, self.defects
         white, shading, blur = exposure.rendering.neutral, exposure.shading, exposure.blur
         asked = processor.demosaic, processor.table, processor.denoise, processor.defects, white, shading, blur
-        of = self._kept.one(raw), self._kept.one(known), exposure.camera.sensor, self.simulator.readout.averaged
+        sensor = exposure.camera.sensor
+        knows_noise = processor.denoise or processor.defects != "none" or processor.demosaic in ("best", "learned")
+        of = self._kept.one(raw), self._kept.one(known), self._numbers, One(sensor) if knows_noise else None
         return self._kept("camera planes", (*of, *asked), lambda: self.developer.demosaicked(
             raw, white=white, known=known, shading=shading, blur=blur))
 
+    @property
+    def _numbers(self):
+        """What digital numbers mean, but for their noise, as a part of a key."""
+        sensor = self.exposure.camera.sensor
+        return (sensor.cfa, sensor.channels, sensor.stacked, sensor.bits, sensor.dark_level, sensor.white_level,
+                self.simulator.readout.averaged)
+
     def linear(self, raw):
         """Linear display RGB (3, rows, cols), before clipping and tone curve, and the rendering that it is by."""
-        kept, developer, planes, once = self._kept, self.developer, self.planes(raw), self.exposure.rendering
-        camera, averaged = self.exposure.camera, self.simulator.readout.averaged
-        by = without_tone(camera.processor), camera.display, camera.sensor, camera.optics.transmission, averaged
-        rendering = kept("white", (kept.one(planes), One(once), *by), lambda: developer.balanced(planes, once))
-        shown = kept("linear", (kept.one(planes), One(rendering)), lambda: developer.colored(planes, rendering))
-        return shown, rendering
+        kept, planes, rendering, camera = self._kept, self.planes(raw), self.exposure.rendering, self.exposure.camera
+        if camera.processor.estimates_white:
+            once = rendering
+            by = without_tone(camera.processor), camera.display, One(camera.sensor), camera.optics.transmission
+            rendering = kept("white", (kept.one(planes), One(once), *by), lambda: self.developer.balanced(planes, once))
+        of = kept.one(planes), rendering.display_from_camera, rendering.ceiling
+        return kept("linear", of, lambda: self.developer.colored(planes, rendering)), rendering
 
     def developed(self, raw):
         """Linear display RGB, display codes (rows, cols, 3), and the rendering."""
@@ -95,9 +101,11 @@ class Shots:
     def codes(self, raw):
         """Display codes (rows, cols, 3) alone: in one pass where the camera allows it."""
         camera, rendering = self.exposure.camera, self.exposure.rendering
-        of = self._kept.one(raw), camera.sensor, One(rendering), camera.processor, camera.display
-        codes = self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
-        return self.developed(raw)[1] if codes is None else codes
+        if not camera.is_developed_at_once:
+            return self.developed(raw)[1]
+        of = (self._kept.one(raw), self._numbers, rendering.display_from_camera, rendering.ceiling,
+              camera.processor.tone, camera.display)
+        return self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
 
     def frame(self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True) -> Frame:
         """One picture with its report. error: of the mean electrons, where known. first: of this exposure."""

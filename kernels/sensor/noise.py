@@ -30,7 +30,8 @@ from gpusim.kernels.common.philox_ref import chance_word, seed_words, signed
 from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
-DARK_AT = 9  # place of the dark electrons among the arguments of the kernel `noise`
+# places among the arguments of the kernel `noise`
+PLACES = {"dark_electrons": 9, "read_noise": 10, "gain": 13, "black_level": 14}
 MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
@@ -87,15 +88,16 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def redraw(tape, seed, frame, dark_electrons):
-    """Have a tape on which one frame was drawn draw another one, of another exposure. Raises OutOfRange."""
+def redraw(tape, seed, frame, **numbers):
+    """Have a tape on which one frame was drawn draw another one, by other numbers of PLACES. Raises OutOfRange."""
     check_drawn(seed, frame, None, 0)
     drawn = *_key(int(seed)), signed(int(frame))
     for command in tape.commands:
         if command.stage == "sensor.noise":
             args = [*command.args[:-4], *drawn, command.args[-1]]
             if command.name == "noise":
-                args[DARK_AT] = float(dark_electrons)
+                for name, value in numbers.items():
+                    args[PLACES[name]] = float(value)
             command.set(tuple(args))
 
 

@@ -142,22 +142,24 @@ def test_large_constants_are_given_again(device):
 
 
 def test_another_frame_is_drawn_by_the_launches_of_one(device):
-    """Seed, frame and dark electrons, with and without the kernel of row noise: bit for bit those of a new draw."""
+    """Seed, frame and all numbers of an exposure, with and without the kernel of row noise: bit for bit those of a new draw."""
     expected = device.array(100 * RANDOM.random((34, 46), np.float32))
     traps = device.array(RANDOM.random((34, 46), np.float32))
     for lines in (0.0, 0.7):
-        sensor = {"read_noise": 2.0, "row_noise": lines, "full_well": 1e4, "gain": 0.5, "white_level": 1023,
-                  "telegraph_switching": 0.3, "device": device}
+        sensor = {"row_noise": lines, "full_well": 1e4, "white_level": 1023, "telegraph_switching": 0.3,
+                  "device": device}
+        numbers = {"dark_electrons": 1.0, "read_noise": 2.0, "gain": 0.5, "black_level": 64.0}
         tape = Tape()
         with noted(tape):
-            raw = noise(expected, traps, traps, dark_electrons=1.0, seed=1, frame=0, **sensor)
-        for seed, frame, dark in ((1, 1, 1.0), (2**64 - 3, 2**32 - 1, 30.0), (1, 1, 0.0)):
-            redraw(tape, seed, frame, dark)
+            raw = noise(expected, traps, traps, seed=1, frame=0, **numbers, **sensor)
+        for seed, frame, other in ((1, 1, {}), (2**64 - 3, 2**32 - 1, {"dark_electrons": 30.0}), (1, 1, {"gain": 2.5}),
+                                   (1, 1, {"read_noise": 7.0, "dark_electrons": 0.0, "black_level": 3.0})):
+            redraw(tape, seed, frame, **(numbers | other))
             tape.replay()
-            fresh = noise(expected, traps, traps, dark_electrons=dark, seed=seed, frame=frame, **sensor)
+            fresh = noise(expected, traps, traps, seed=seed, frame=frame, **(numbers | other), **sensor)
             np.testing.assert_array_equal(values(device, raw), values(device, fresh))
         with pytest.raises(OutOfRange, match="frame"):
-            redraw(tape, 1, 2**32, 0.0)
+            redraw(tape, 1, 2**32)
 
 
 def test_another_time_is_set_in_the_launches_of_one(device):
