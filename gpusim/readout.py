@@ -28,6 +28,7 @@ class Readout:
 
     sensor: its properties. output: the sensor as which its raw values look, binned. pixels: whose charge becomes one
     output pixel's; averaged: whose digital numbers' mean it is. kept: where fixed patterns are kept.
+    response_key: what the chip's mean electrons depend on beside the scene's.
     """
 
     def __init__(self, sensor: Sensor, device: Device | str = "auto", kept: Kept | None = None):
@@ -43,13 +44,10 @@ class Readout:
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._kept = Kept() if kept is None else kept
         self._operated = 1.0, self.output
-
-    @property
-    def response_key(self):
-        """What the chip's mean electrons depend on beside the scene's."""
-        noise_ = self.sensor.noise
-        return (self.sensor.binning, self.sensor.binning_mode, noise_.prnu, noise_.row_prnu, noise_.column_prnu,
-                noise_.dead_pixels, noise_.hot_pixels, noise_.hot_current, noise_.warmth, noise_.seed)
+        chip = sensor.noise
+        self.response_key = (sensor.binning, sensor.binning_mode, sensor.cfa, chip.prnu, chip.row_prnu,
+                             chip.column_prnu, chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth,
+                             chip.seed)
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""

@@ -75,22 +75,6 @@ class Kept:
             self._renew(name, None if found is None else found[1], value)
         return value
 
-    def refill(self, *names) -> bool:
-        """Start the kernels of these steps again, of whose keys nothing but arrays' contents is new.
-
-        False, and nothing is done, where one of them has more to do than that.
-        """
-        found = []
-        for name in names:
-            _, value, tape = self._entries.get(name, (None, None, None))
-            if tape is None or not tape.is_replayable:
-                return False
-            found.append((name, value, tape))
-        for name, value, tape in found:
-            tape.replay()
-            self._renew(name, value, value)
-        return True
-
     def on_host(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Steps that did more than start kernels when last made on their tapes: see `gpusim.program.host`.
 

@@ -202,12 +202,21 @@ class Program:
             return None
         if last.scene is self.scene:
             return dataclasses.replace(last, exposure=self._exposed_by(last))
-        if not self.kept.refill("mean", "chip_mean"):
+        exposure = last.exposure
+        mean = self._mean(last, exposure.exposure_time)
+        if mean is not exposure.mean or (
+                chip_mean(self.simulator, mean, exposure.exposure_time, self.kept) is not exposure.chip_mean):
             return None
         made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
         if plan.scene is not self.scene:
-            self._look(made, last.exposure.mean, last.exposure.exposure_time)
+            self._look(made, mean, exposure.exposure_time)
         return made
+
+    def _mean(self, made, seconds):
+        """Mean electrons of every pixel of the scene [e-]."""
+        plan, rates = made.plan, made.rates
+        return self.kept("mean", (self.kept.one(rates[0]), One(plan), seconds), lambda: self.simulator.imaging.exposed(
+            plan, rates, seconds), lambda tape: retime_collect(tape, seconds))
 
     def _exposed_by(self, made):
         """The exposure of electrons per second."""
@@ -215,8 +224,7 @@ class Program:
         of = kept.one(rates[0]), One(plan)
         seconds, gain = self._operated(of, lambda: self.before.kept("per second", of, lambda: (
             simulator.imaging.exposed(plan, rates, 1.0))))
-        mean = kept("mean", (*of, seconds), lambda: simulator.imaging.exposed(plan, rates, seconds),
-                    lambda tape: retime_collect(tape, seconds))
+        mean = self._mean(made, seconds)
         if plan.scene is not self.scene or self.meters_late:
             looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
             if not same(self._looked, looked):
@@ -301,17 +309,22 @@ class Program:
         return Shots(self.simulator, exposure, self.kept).frame(seed=seed, frame=frame)
 
 
+def chip_mean(simulator, mean, seconds, kept):
+    """What this very chip makes of mean electrons: see `Readout.chip_mean`."""
+    readout, of = simulator.readout, (kept.one(mean), simulator.readout.response_key, seconds)
+    return kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
+                lambda tape: retime_chip(tape, readout.dark_time(seconds)))
+
+
 def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept) -> Exposure:
     """The exposure of mean electrons [e-], an array of the device, without the times that it took.
 
     seconds: of the exposure [s]. gain: analog, beside the sensor's [1]. kept: what was made before for exposures alike.
     """
     sensor, readout, processor = simulator.camera.sensor, simulator.readout, simulator.camera.processor
+    of_chip = chip_mean(simulator, mean, seconds, kept)
     camera = kept("operated", (simulator.camera, gain), lambda: dataclasses.replace(
         simulator.camera, sensor=readout.operated(gain)))
-    of = kept.one(mean), readout.response_key, sensor.cfa, seconds
-    chip_mean = kept("chip_mean", of, lambda: readout.chip_mean(mean, seconds),
-                     lambda tape: retime_chip(tape, readout.dark_time(seconds)))
     shading = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
@@ -321,7 +334,7 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
               without_tone(processor), camera.display, seconds, readout.pixels)
     colored = kept("rendering", colors, lambda: rendering(plan, camera, seconds, readout.pixels, simulator.kept))
     blur = simulator.imaging.tables.deviation(plan) if processor.demosaic == "best" else 0.0
-    return Exposure(plan, camera, mean, chip_mean, seconds, gain, colored, blur, shading, device=simulator.device)
+    return Exposure(plan, camera, mean, of_chip, seconds, gain, colored, blur, shading, device=simulator.device)
 
 
 def _shading(simulator, plan):

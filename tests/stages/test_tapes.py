@@ -142,7 +142,7 @@ def test_large_constants_are_given_again(device):
 
 
 def test_another_frame_is_drawn_by_the_launches_of_one(device):
-    """Seed, frame and all numbers of an exposure, with and without the kernel of row noise: bit for bit those of a new draw."""
+    """Seed, frame and all numbers of an exposure, with and without row noise: bit for bit those of a new draw."""
     expected = device.array(100 * RANDOM.random((34, 46), np.float32))
     traps = device.array(RANDOM.random((34, 46), np.float32))
     for lines in (0.0, 0.7):
