@@ -14,7 +14,7 @@ from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
-from gpusim.kernels.sensor.noise import MOST, noise
+from gpusim.kernels.sensor.noise import MOST, noise, redraw
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.planner.binning import binned
 from gpusim.program.kept import Kept
@@ -113,7 +113,7 @@ class Readout:
         mean = np.array(self.device.numpy(mean), np.float32)
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
-    def draw(self, chip_mean, exposure_time: float, *, gain: float = 1.0, seed=0, frame=0, frames=None):
+    def draw(self, chip_mean, exposure_time: float, gain: float = 1.0, seed=0, frame=0, frames=None):
         """Raw values (rows, cols), or (frames, rows, cols), around `chip_mean` electrons (see the method).
 
         gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
@@ -131,6 +131,19 @@ class Readout:
             return self._binned(raw, average=True)
         return self.device.stack([self._binned(self.device.part(raw, number), average=True)
                                   for number in range(raw.shape[0])])
+
+    @property
+    def draws_at_once(self) -> bool:
+        """Whether the stage `sensor.noise` is all that `draw` takes for one frame."""
+        return not self._digital and self.device.kind != "numpy"
+
+    def draw_again(self, tape, shape, *, seed=0, frame=0):
+        """Raw values (rows, cols) of another frame, by what `draw` noted on a tape for one: see `draws_at_once`."""
+        kind = np.float32 if self.sensor.bits == FLOAT_BITS else np.uint16
+        raw = self.device.empty((1, *shape), kind)
+        redraw(tape, seed, frame, out=raw)
+        tape.replay()
+        return self.device.reshape(raw, shape)
 
     def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
         """What `draw` tells the stage `sensor.noise` that depends on exposure time [s] and analog gain."""

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 from copy import copy
 from math import ceil, prod
+from operator import is_
 from time import perf_counter
 
 import numpy as np
@@ -304,9 +305,15 @@ class Simulator:
         frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
         stacked pixels one below the other.
         """
-        with noted(self._drawing.tape):
-            return self.readout.draw(exposure.chip_mean, exposure.exposure_time, gain=exposure.gain, seed=seed,
-                                     frame=frame, frames=frames)
+        drawing, of = self._drawing, (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout)
+        if frames is None and drawing.of and all(map(is_, drawing.of, of)):
+            return self.readout.draw_again(drawing.tape, exposure.chip_mean.shape, seed=seed, frame=frame)
+        drawing.of = ()
+        with noted(drawing.tape):
+            raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames)
+        if frames is None and self.readout.draws_at_once:
+            drawing.of = of
+        return raw
 
     def draw_electrons(self, mean, exposure_time: float, *, gain: float = 1.0, seed: int = 0, frame: int = 0,
                        frames: int | None = None) -> np.ndarray:

@@ -73,10 +73,13 @@ class Tape:
 
 
 class OwnTape(threading.local):
-    """A tape of each thread's own, on which results are new arrays. Pickled, it is empty."""
+    """A tape of each thread's own, on which results are new arrays. Pickled, it is empty.
+
+    of: what was noted last, for who uses it.
+    """
 
     def __init__(self):
-        self.tape = Tape(writes_anew=True)
+        self.tape, self.of = Tape(writes_anew=True), ()
 
     def __reduce__(self):
         return OwnTape, ()

@@ -31,7 +31,7 @@ from gpusim.kernels.stage import Case, stage
 
 PHOTONS = ("none", "fast", "exact")  # as the kernels number them
 # places among the arguments of the kernel `noise`
-PLACES = {"dark_electrons": 9, "read_noise": 10, "gain": 13, "black_level": 14}
+PLACES = {"out": 4, "dark_electrons": 9, "read_noise": 10, "gain": 13, "black_level": 14}
 MOST = 1e30  # [e-], [s] stands for infinity: more than any well holds
 
 
@@ -88,16 +88,19 @@ def noise(device, expected, offset=None, amplitude=None, *, dark_electrons=0.0, 
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
-def redraw(tape, seed, frame, **numbers):
-    """Have a tape on which one frame was drawn draw another one, by other numbers of PLACES. Raises OutOfRange."""
+def redraw(tape, seed, frame, **others):
+    """Have a tape on which one frame was drawn draw another one, by other arguments of PLACES. Raises OutOfRange.
+
+    out: an array of shape (1, rows, cols) to write to.
+    """
     check_drawn(seed, frame, None, 0)
     drawn = *_key(int(seed)), signed(int(frame))
     for command in tape.commands:
         if command.stage == "sensor.noise":
             args = [*command.args[:-4], *drawn, command.args[-1]]
             if command.name == "noise":
-                for name, value in numbers.items():
-                    args[PLACES[name]] = float(value)
+                for name, value in others.items():
+                    args[PLACES[name]] = value
             command.set(tuple(args))
 
 

@@ -18,6 +18,7 @@ import gpusim
 from gpusim.cli import _parser, main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
+from gpusim.domain.errors import OutOfRange
 from gpusim.domain.noise import Noise
 from gpusim.simulator import Simulator
 
@@ -491,3 +492,22 @@ def test_a_driver_that_aborts_is_reported_not_fatal(monkeypatch):
 
 def test_version():
     assert gpusim.__version__ == __import__("importlib.metadata", fromlist=["version"]).version("gpusim")
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("noise", [{}, {"row": 1.0, "prnu": 0.01}])
+def test_draws_follow_each_other_each_in_an_array_of_its_own(device, noise):
+    """Those after the first start the kernels of the first again: bit for bit what one draw gives."""
+    camera = open_camera("phone")
+    camera = replace(camera, sensor=replace(camera.sensor, noise=replace(camera.sensor.noise, **noise)))
+    simulator, scene = Simulator(camera, device=device), chart("ramp", size=(70, 40))
+    exposures = [simulator.expose(scene, 0.01), simulator.expose(scene, 0.02, 2.0)]
+    asked = [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 2**63, 2), (0, 1, 1), (0, 7, 2**32 - 1)]
+    drawn = [simulator.draw(exposures[k], seed=seed, frame=frame) for k, seed, frame in asked]
+    for raw, (k, seed, frame) in zip(drawn, asked, strict=True):
+        fresh = Simulator(camera, device=simulator.device).draw(exposures[k], seed=seed, frame=frame)
+        np.testing.assert_array_equal(simulator.device.numpy(raw), simulator.device.numpy(fresh))
+    with pytest.raises(OutOfRange, match="frame"):
+        simulator.draw(exposures[0], frame=-1)
+    np.testing.assert_array_equal(simulator.device.numpy(simulator.draw(exposures[0], seed=7, frame=2**32 - 1)),
+                                  simulator.device.numpy(drawn[-1]))
