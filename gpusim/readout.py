@@ -20,6 +20,7 @@ from gpusim.planner.binning import binned
 from gpusim.program.kept import Kept
 
 RESET = 2**30  # number of the read whose random numbers the reset has
+GAINS = 16  # operated sensors that are kept
 BATCH = 2**26  # [pixel] of frames that are drawn at once
 
 
@@ -43,19 +44,21 @@ class Readout:
         self._digital = not charge and sensor.binning != (1, 1)
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._kept = Kept() if kept is None else kept
-        self._operated = 1.0, self.output
+        self._operated = {1.0: self.output}
         chip = sensor.noise
         self.response_key = (sensor.binning, sensor.binning_mode, sensor.cfa, chip.prnu, chip.row_prnu,
                              chip.column_prnu, chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth,
                              chip.seed)
 
     def operated(self, gain: float) -> Sensor:
-        """The output sensor with its analog gain multiplied by `gain`; the last one is kept."""
-        known = self._operated  # read once: another thread may put its own there
-        if known[0] != gain:
+        """The output sensor with its analog gain multiplied by `gain`; the last ones are kept."""
+        sensor = self._operated.get(gain)
+        if sensor is None:
             sensor = dataclasses.replace(self.output, analog_gain=self.output.analog_gain * gain)
-            known = self._operated = gain, sensor
-        return known[1]
+            if len(self._operated) >= GAINS:
+                self._operated = {}  # a new one: another thread may be reading the last
+            self._operated[gain] = sensor
+        return sensor
 
     def output_shape(self, shape) -> tuple[int, int]:
         """Rows and columns of the raw values of a frame of `shape` pixels. Raises OutOfRange where they are too few."""

@@ -85,14 +85,15 @@ class Kept:
 
     def _renew(self, name, before, value):
         """Tell the arrays that a step wrote to from what they were."""
-        now = [part for part in (value if isinstance(value, tuple) else (value,))
-               if isinstance(part, self._device.array_type)]
-        for part in before if isinstance(before, tuple) else (before,):
-            if self._owners.get(id(part), ("", 0))[0] == name and not any(part is other for other in now):
-                del self._owners[id(part)]
-        for part in now:
-            if self._owners.get(id(part), (name, 0))[0] == name:  # what a step hands on is not its own
-                self._owners[id(part)] = name, next(self._versions)
+        owners, none = self._owners, (name, 0)
+        parts = value if isinstance(value, tuple) else (value,)
+        if before is not value:
+            for part in before if isinstance(before, tuple) else (before,):
+                if owners.get(id(part), ("", 0))[0] == name and not any(part is other for other in parts):
+                    del owners[id(part)]
+        for part in parts:
+            if isinstance(part, self._device.array_type) and owners.get(id(part), none)[0] == name:
+                owners[id(part)] = name, next(self._versions)  # what a step hands on is not its own
 
     def __getstate__(self):
         return {"_device": self._device, "_entries": {}, "_owners": {}, "_versions": itertools.count(1)}  # made anew

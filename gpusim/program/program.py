@@ -66,6 +66,7 @@ class Before:
     def __init__(self, device):
         self.kept = Kept(device)
         self.plan: tuple[Plan, tuple] | None = None  # and what it was planned by
+        self.looked: tuple = ()  # what was last looked at
 
 
 class Program:
@@ -90,7 +91,6 @@ class Program:
         self.before = Before(simulator.device) if before is None else before
         self.kept = self.before.kept if before is None else before.kept.beside()
         self._pending: _Look | None = None
-        self._looked: tuple = ()
         self._metered: tuple[float, float] | None = None
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
@@ -124,8 +124,11 @@ class Program:
 
     def _facts(self):
         """Facts of the scene, whose samples the host reads for them."""
-        numpy = self.simulator.device.numpy
-        seen = self.scene.content.with_samples(lambda array: np.asarray(numpy(array)))
+        def read(array):
+            values = np.asarray(self.simulator.device.numpy(array))
+            return values.astype(np.float32) if values.dtype == np.float16 else values  # NumPy is slow with halves
+
+        seen = self.scene.content.with_samples(read)
         return Facts.of(dataclasses.replace(self.scene, content=seen))
 
     def _content(self, plan):
@@ -226,10 +229,7 @@ class Program:
             simulator.imaging.exposed(plan, rates, 1.0))))
         mean = self._mean(made, seconds)
         if plan.scene is not self.scene or self.meters_late:
-            looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
-            if not same(self._looked, looked):
-                self._look(made, mean, seconds)
-                self._looked = looked
+            self._look(made, mean, seconds)
         return exposed(simulator, plan, mean, seconds, gain, kept)
 
     def _operated(self, of, per_second):
@@ -246,8 +246,12 @@ class Program:
         return found
 
     def _look(self, made, mean, seconds):
-        """Have the device look at a scene that the plan was not made for; the numbers are judged before the next."""
+        """Have the device look once at a scene that the plan was not made for; it is judged before the next."""
         simulator, kept, plan, found = self.simulator, self.kept, made.plan, None
+        looked = (*made.samples, One(plan), kept.one(mean) if self.meters_late else None)
+        if same(self.before.looked, looked):
+            return
+        self.before.looked = looked
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
         light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
         if plan.watch is not None and plan.scene is not self.scene:
