@@ -98,3 +98,10 @@ def bench(rows, cols):
     return {"planes": random.random((31, rows, cols), np.float32),
             "tables": random.random((1, 31, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
             "gains": random.random((3, 31), np.float32), "border": "edge", "period": period}
+
+
+def operations(planes, tables, gains, border, period):
+    """Transforms there and back; per frequency each plane times its table, and that times each gain, added up."""
+    frequencies = period[0] * (period[1] // 2 + 1)
+    channels, count = gains.shape
+    return (count + channels) * fft.operations(period) + frequencies * count * (2 * len(tables) + 4 * channels)
