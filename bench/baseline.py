@@ -32,19 +32,26 @@ class Baseline:
         self.falloff = falloff.astype(np.float32)
         self.random = np.random.default_rng(1)
 
+    def forward(self, plane) -> np.ndarray:
+        """Spectrum of a plane of the period's shape, which may be written over."""
+        return scipy.fft.rfft2(plane, workers=os.cpu_count(), overwrite_x=True)
+
+    def inverse(self, spectra) -> np.ndarray:
+        """Planes of spectra (C, rows, cols // 2 + 1), which may be written over."""
+        return scipy.fft.irfft2(spectra, self.plan.period, workers=os.cpu_count(), overwrite_x=True)
+
     def mean(self, cube, seconds: float) -> np.ndarray:
         """Mean electrons (rows, cols) float32 of a cube (L, rows, cols) float32."""
         rows, cols = cube.shape[1:]
         pads = [(before, length - n - before) for before, length, n in zip(
             self.before, self.plan.period, (rows, cols), strict=True)]
-        workers = os.cpu_count()
         sums = np.zeros((len(self.gains), self.plan.period[0], self.plan.period[1] // 2 + 1), np.complex64)
         for band, table, gains in zip(cube, self.tables, self.gains.T, strict=True):
-            spectrum = scipy.fft.rfft2(np.pad(band, pads, mode="edge"), workers=workers, overwrite_x=True)
+            spectrum = self.forward(np.pad(band, pads, mode="edge"))
             spectrum *= table
             for one, gain in zip(sums, gains, strict=True):
                 one += gain * spectrum
-        channels = scipy.fft.irfft2(sums, self.plan.period, workers=workers, overwrite_x=True)
+        channels = self.inverse(sums)
         top, left = self.before
         channels = channels[:, top : top + rows, left : left + cols]
         mosaic = np.empty((rows, cols), np.float32)

@@ -72,7 +72,7 @@ def ready(arguments, bench: str):
 
 def finish(arguments, bench: str, device, rows: list[dict], old: dict | None = None, **settings) -> dict:
     """Write the result where asked, compare it with the old one where asked; returns it."""
-    result = {"bench": bench, **about(device, arguments.commit), **settings, "rows": rows}
+    result = json.loads(json.dumps({"bench": bench, **about(device, arguments.commit), **settings, "rows": rows}))
     if arguments.json is not None:
         save(result, arguments.json)
     if old is not None:
@@ -189,6 +189,12 @@ def against(old: dict, new: dict) -> str:
     return "\n".join([*lines, *(f"{name:40s} {'-':>7s}  gone" for name in before)])
 
 
+def rms(values, truth) -> float:
+    """Root mean square difference over the root mean square of the truth, in float64."""
+    truth = np.asarray(truth, np.float64)
+    return float(np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2)))
+
+
 def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
     """Milliseconds of each form in every round, name -> array (repeat,).
 
@@ -225,10 +231,26 @@ def peer_rows(times: dict, bases: dict, errors: dict | None = None, each: dict |
 def show(rows: list[dict]):
     """Print rows of `peer_rows`."""
     for row in rows:
+        if "failed" in row:
+            print(f"{row['name']:42s} {row['failed']}", flush=True)
+            continue
         over = (f"{row['base']} over it {row['over_p50']:.2f} ({row['over_p25']:.2f} .. {row['over_p75']:.2f})"
                 if "base" in row else "")
-        print(f"{row['name']:34s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
+        print(f"{row['name']:42s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
               f"{row['error']}", flush=True)
+
+
+def compared(arguments, bench: str, device, old, forms: dict, bases: dict, errors: dict | None = None,
+             each: dict | None = None, **settings):
+    """Time forms in turns, `--repeat` rounds, print their rows and finish: see `rounds`, `peer_rows`, `finish`."""
+    rows = peer_rows(rounds(forms, arguments.repeat, warm=2), bases, errors, each)
+    show(rows)
+    finish(arguments, bench, device, rows, old, repeat=arguments.repeat, **settings)
+
+
+def add_repeat(made, default=9):
+    """The option `--repeat`."""
+    made.add_argument("--repeat", type=count, default=default, help=f"rounds (default: {default})")
 
 
 def resident(device, inputs: dict) -> dict:
