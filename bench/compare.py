@@ -2,13 +2,14 @@
 
     python bench/compare.py --device opencl --json bench/results/compare-NAME.json [--subject frame] [--size 1920x1080]
 
-frame: a cube to mean electrons by a transform per band, in SciPy (bench/baseline.py, the base of all ratios), ducc0 and
-PyTorch, and by us with and without a tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16 bit
-to RGB; error: relative RMS against the float64 reference of the same method where we have one, and CPSNR against the
-picture that the mosaic was made of, both without a border of 10 pixels. LibRaw's time is that of postprocess() with its
-colour steps. convolve: a plane by one kernel of 15 x 15; error: the largest local one beside a highlight of 1e6. Peers
-take as many threads as there are cores, and read and write host memory; ours stays on the device. What is not installed
-is said in its row.
+frame: a cube to mean electrons by a transform per band, in SciPy, ducc0 and PyTorch, and by us with and without a
+tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16 bit to RGB; error: relative RMS against
+the float64 reference of the same method where we have one, and CPSNR against the picture that the mosaic was made of,
+both without a border of 10 pixels. LibRaw's time is that of postprocess() with its colour steps. convolve-15,
+convolve-63: a plane by one kernel; error: the largest local one beside a highlight of 1e6.
+
+Ratios are over what NumPy and SciPy take, bench/baseline.py. Peers take as many threads as there are cores, and read
+and write host memory; ours stays on the device. What is not installed is said in its row.
 """
 
 import os
@@ -18,6 +19,7 @@ from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import baseline
 import numpy as np
 from baseline import Baseline
 from frames import SECONDS, cube
@@ -39,7 +41,7 @@ WHITE = 65535  # of the mosaic
 
 
 class Subject:
-    """Forms of one task: what runs, its error, and which are missing."""
+    """Forms of one task: what runs, its error, and which are missing; the base is that of NumPy or SciPy."""
 
     def __init__(self, name: str, base: str):
         self.name, self.base, self.forms, self.errors, self.missing = name, base, {}, {}, []
@@ -161,7 +163,7 @@ def frame(device, size, tolerance) -> Subject:
 
 def demosaic(device, size, tolerance) -> Subject:
     """An RGGB mosaic to RGB."""
-    subject = Subject("demosaic", "gpusim, bilinear")
+    subject = Subject("demosaic", "NumPy, bilinear")
     raw, (small, truth) = _mosaic(size)[0], _mosaic(ERROR_SIZE)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / WHITE}
@@ -187,6 +189,12 @@ def demosaic(device, size, tolerance) -> Subject:
             return run
         return method
 
+    def numpy(mosaic):
+        if mosaic is small:
+            return lambda: np.moveaxis(baseline.bilinear(mosaic, 1 / WHITE), 0, 2)
+        return partial(baseline.bilinear, mosaic, 1 / WHITE)
+
+    subject.add("NumPy, bilinear", partial(judged, numpy, "bilinear"))
     for name in ("bilinear", "malvar", "adaptive", "best", "learned"):
         subject.add(f"gpusim, {name}", partial(judged, ours(name), name if name in references else None))
     for name, reference in (("", "bilinear"), ("_EA", None)):
@@ -217,9 +225,7 @@ def _opencv(code, raw):
     import cv2
 
     cv2.setNumThreads(cores())
-    small = raw.size <= ERROR_SIZE[0] * ERROR_SIZE[1]
-    return lambda: cv2.demosaicing(raw, getattr(cv2, code)) / (WHITE if small else np.uint16(1)) if small else (
-        cv2.demosaicing(raw, getattr(cv2, code)))
+    return _scaled(lambda: cv2.demosaicing(raw, getattr(cv2, code)), raw)
 
 
 def _colour(name, raw):
@@ -239,73 +245,79 @@ def _libraw(name, raw):
         picture.unpack()
     develop = partial(picture.postprocess, demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, name), output_bps=16,
                       no_auto_bright=True, gamma=(1, 1), user_wb=[1, 1, 1, 1], output_color=rawpy.ColorSpace.raw)
-    if raw.size > ERROR_SIZE[0] * ERROR_SIZE[1]:
-        return develop
-    return lambda: develop() / WHITE
+    return _scaled(develop, raw)
 
 
-def convolve(device, size, tolerance) -> Subject:
-    """A plane by one kernel of 15 x 15."""
+def _scaled(run, raw):
+    """The same with 1 for white, on the mosaic that errors are measured on; scaling is not to be timed."""
+    return (lambda: run() / WHITE) if raw.shape == ERROR_SIZE[::-1] else run
+
+
+def convolve(taps, device, size, tolerance) -> Subject:
+    """A plane by one kernel of taps x taps."""
     from gpusim.kernels.optics.convolve import convolve
     from gpusim.kernels.optics.convolve_ref import convolve as reference
 
-    (cols, rows), random, subject = size, np.random.default_rng(0), Subject("convolve 15 x 15", "gpusim, float32 sums")
+    (cols, rows), half, random = size, taps // 2, np.random.default_rng(0)
     plane = random.uniform(0.5, 1.5, (rows, cols)).astype(np.float32)
     plane[rows // 2, cols // 2] = 1e6
-    kernel = random.uniform(0.5, 1, (15, 15))
+    kernel = random.uniform(0.5, 1, (taps, taps))
     kernel = (kernel / kernel.sum()).astype(np.float32)
-    near = np.s_[rows // 2 - 15 : rows // 2 + 16, cols // 2 - 15 : cols // 2 + 16]
-    around = np.s_[rows // 2 - 30 : rows // 2 + 31, cols // 2 - 30 : cols // 2 + 31]
-    truth = reference(plane[around][None], kernel[None].astype(np.float64))[0][15:-15, 15:-15]
+    flipped = np.ascontiguousarray(kernel[::-1, ::-1])  # most peers correlate
+    wide = np.pad(plane, half, mode="edge")
+    # near the highlight: that it takes part in, and what these take part in
+    near = np.s_[rows // 2 - half : rows // 2 + half + 1, cols // 2 - half : cols // 2 + half + 1]
+    around = np.s_[near[0].start : near[0].stop + 2 * half, near[1].start : near[1].stop + 2 * half]
+    truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][half:-half, half:-half]
     there = device.array(plane[None])
 
     def judged(run):
-        result = np.asarray(run()).reshape(rows, cols)[near]
-        return run, f"local {np.abs(result / truth - 1).max():.1e}"
+        result = run()
+        result = np.asarray(device.numpy(result) if isinstance(result, device.array_type) else result)
+        return run, f"local {np.abs(result.reshape(rows, cols)[near] / truth - 1).max():.1e}"
 
     def ours(precision):
         def run():
             result = convolve(there, kernel[None], "edge", precision, device=device)
             device.sync()
-            return device.numpy(result) if device.on_host else result
+            return result
         return judged(run)
 
     def opencv():
         import cv2
 
         cv2.setNumThreads(cores())
-        flipped = np.ascontiguousarray(kernel[::-1, ::-1])  # filter2D correlates
         return judged(lambda: cv2.filter2D(plane, -1, flipped, borderType=cv2.BORDER_REPLICATE))
 
     def pytorch():
         import torch
 
         torch.set_num_threads(cores())
-        padded = torch.nn.functional.pad(torch.from_numpy(plane)[None, None], (7, 7, 7, 7), mode="replicate")
-        taps = torch.from_numpy(np.ascontiguousarray(kernel[::-1, ::-1]))[None, None]
-        return judged(lambda: torch.nn.functional.conv2d(padded, taps)[0, 0])
+        padded, factors = (torch.from_numpy(values)[None, None] for values in (wide, flipped))
+        return judged(lambda: torch.nn.functional.conv2d(padded, factors)[0, 0])
 
+    subject = Subject(f"convolve {taps} x {taps}", "SciPy")
+    subject.add("SciPy", lambda: judged(partial(baseline.convolve, plane, kernel)))
     subject.add("gpusim, float32 sums", partial(ours, "single"))
     subject.add("gpusim, exact sums", partial(ours, "double"))
     subject.add("OpenCV, filter2D", opencv, "cv2")
     subject.add("PyTorch, conv2d", pytorch, "torch")
-    subject.add("Halide", lambda: judged(_halide(plane, kernel)), "halide")
+    subject.add("Halide", lambda: judged(_halide(wide, flipped)), "halide")
     return subject
 
 
-def _halide(plane, kernel):
+def _halide(padded, flipped):
     """Direct sums in Halide: vectors along the rows, blocks of four rows by four vectors in registers, strips apart."""
     os.environ.setdefault("HL_NUM_THREADS", str(cores()))
     import halide as hl
 
-    rows, cols = plane.shape
+    taps = len(flipped)
+    rows, cols = (n - taps + 1 for n in padded.shape)
     x, y, xo, yo, xi, yi = (hl.Var(name) for name in ("x", "y", "xo", "yo", "xi", "yi"))
-    flipped = np.ascontiguousarray(kernel[::-1, ::-1])
-    padded = np.pad(plane, 7, mode="edge")
-    source, taps, reach = hl.Buffer(padded), hl.Buffer(flipped), hl.RDom([(0, 15), (0, 15)])
+    source, factors, reach = hl.Buffer(padded), hl.Buffer(flipped), hl.RDom([(0, taps), (0, taps)])
     sums, out = hl.Func("sums"), hl.Func("out")
     sums[x, y] = hl.f32(0)
-    sums[x, y] += source[x + reach.x, y + reach.y] * taps[reach.x, reach.y]
+    sums[x, y] += source[x + reach.x, y + reach.y] * factors[reach.x, reach.y]
     out[x, y] = sums[x, y]
     out.tile(x, y, xo, yo, xi, yi, 32, 4).vectorize(xi, 8).unroll(xi).unroll(yi).parallel(yo)
     sums.compute_at(out, xo).vectorize(x, 8).unroll(x).unroll(y)
@@ -320,7 +332,8 @@ def _halide(plane, kernel):
     return run
 
 
-SUBJECTS = {"frame": frame, "demosaic": demosaic, "convolve": convolve}
+SUBJECTS = {"frame": frame, "demosaic": demosaic, "convolve-15": partial(convolve, 15),
+            "convolve-63": partial(convolve, 63)}
 
 
 def main():

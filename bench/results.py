@@ -253,6 +253,26 @@ def add_repeat(made, default=9):
     made.add_argument("--repeat", type=count, default=default, help=f"rounds (default: {default})")
 
 
+class Tables:
+    """Results that are no times: tables of text, printed as they grow. A row's cells are those of its table's columns.
+
+    columns: title -> names of columns. rows: of the result.
+    """
+
+    def __init__(self):
+        self.columns, self.rows = {}, []
+
+    def table(self, title: str, *columns):
+        """Begin a table."""
+        self.title, self.columns[title] = title, columns
+        print(f"\n{title}: {', '.join(columns)}")
+
+    def row(self, name: str, *cells: str):
+        """A row of the table that was begun last."""
+        self.rows.append({"name": name, "table": self.title, "cells": cells})
+        print("  ", " | ".join((name, *cells)), flush=True)
+
+
 def resident(device, inputs: dict) -> dict:
     """A stage's inputs with their arrays on the device."""
     return {key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value

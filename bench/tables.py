@@ -172,9 +172,15 @@ def _peers(result):
     yield _markdown(columns, rows)
 
 
+def _cells(result):
+    for title, columns in result["columns"].items():
+        yield title + ":"
+        yield _markdown(columns, [(row["name"], *row["cells"]) for row in result["rows"] if row["table"] == title])
+
+
 TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
-          "noise": _peers, "convolve": _peers, "field": _peers, "fusion": _peers, "demosaic": _peers,
-          "picture": _peers}
+          "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
+          "picture": _peers, "demosaic": _cells, "color": _cells}
 
 if __name__ == "__main__":
     start(main)
