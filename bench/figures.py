@@ -27,11 +27,12 @@ def _stages(result):
     counted = [row for row in rows if row["gflops"] is not None]
     for row in counted:
         _point(right, row["operations"] / row["bytes"], row["gflops"], row["name"])
-    if result.get("copy_gbps") and counted:
+    copied, fma = result["limits"]["copy_gbps"], result["limits"]["fma_gflops"]
+    if copied and counted:
         dense = [row["operations"] / row["bytes"] for row in counted]
-        x = np.geomspace(min(dense) / 2, 2 * max(*dense, result["fma_gflops"] / result["copy_gbps"]), 50)
-        right.plot(x, np.minimum(x * result["copy_gbps"], result["fma_gflops"]), color="tab:gray",
-                   label=f"{result['copy_gbps']:.3g} GB/s copied, {result['fma_gflops']:.3g} GFLOP/s")
+        x = np.geomspace(min(dense) / 2, 2 * max(*dense, fma / copied), 50)
+        right.plot(x, np.minimum(x * copied, fma), color="tab:gray",
+                   label=f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s")
         right.legend(fontsize=8)
     right.set(xscale="log", yscale="log", xlabel="operations per byte read and written once", ylabel="GFLOP/s")
     return figure

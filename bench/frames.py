@@ -137,7 +137,7 @@ def one(device: str, size, bands: int, tolerance: float | None, camera: str, rep
     _require_room(device, size, bands, content)
     picture = chart("deadleaves", size=size, wavelengths=np.linspace(400, 700, bands))
     scenes = [resident_scene(device, scene) for scene in _two(picture, content)]
-    each = sum(getattr(scenes[0].content, part).nbytes for part in scenes[0].content.samples)
+    each = scenes[0].content.nbytes
     peak = Peak(device)
     program = Simulator(open_camera(camera), device=device, tolerance=tolerance).program(scenes[0], SECONDS)
     begun = time.perf_counter()

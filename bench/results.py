@@ -28,6 +28,7 @@ from gpusim.io.atomic import atomic_path, check_output
 
 HERE = Path(__file__).parent
 PACKAGES = ("numpy", "scipy", "pyopencl", "warp-lang", "pocl-binary-distribution")
+FOUND = {"rows", "columns", "limits", "machine", "commit", "dirty", "date", "device"}  # all else is settings
 PLACE = ("cpu", "cores", "device", "driver")  # of a machine: what makes times differ
 
 
@@ -169,8 +170,7 @@ def quartiles(times, key: str = "ms") -> dict:
 def against(old: dict, new: dict) -> str:
     """Each row's median over that of the old result; "same" where their quartiles overlap."""
     lines, before = [], {row["name"]: row for row in old["rows"]}
-    settings = [key for key in sorted(set(old) & set(new) - {"rows", "machine", "commit", "dirty", "date", "device"})
-                if old[key] != new[key]]
+    settings = [key for key in sorted(set(old) & set(new) - FOUND) if old[key] != new[key]]
     differing = [f"{key} {old['machine'].get(key)!r} then, {new['machine'].get(key)!r} now" for key in PLACE
                  if old["machine"].get(key) != new["machine"].get(key)]
     differing += [f"{key} {old[key]!r} then, {new[key]!r} now" for key in settings]

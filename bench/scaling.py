@@ -10,6 +10,9 @@ What does not fit is said in its row, and the others go on.
 
 from results import count, finish, in_process, parser, ready, start
 
+from gpusim.data.cameras import open_camera
+from gpusim.simulator import Simulator
+
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))  # of 31 bands
 BANDS = (3, 10, 31, 61, 101, 301)  # at 1080p
 HD = (1920, 1080)
@@ -30,7 +33,8 @@ def options(made):
 
 
 def settings(arguments, device) -> dict:
-    """The same as arguments of `frames.one`."""
+    """The same as arguments of `frames.one`. Raises what Simulator and `open_camera` do."""
+    Simulator(open_camera(arguments.camera), device=device, tolerance=arguments.tolerance or None)
     return {"device": device.name, "tolerance": arguments.tolerance or None, "camera": arguments.camera,
             "content": arguments.content, "repeat": arguments.repeat}
 

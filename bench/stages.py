@@ -25,12 +25,12 @@ def main():
             raise UnknownName("stage", name, stage_names())
     device, old = ready(arguments, "stages")
     limits, rows = ceilings(device), []
-    print(limits)
+    print(", ".join(f"{key} {value:.4g}" for key, value in limits.items() if value))
     for row in bench(device, arguments.stage, arguments.size[::-1], limits=limits):
         rows.append({"name": row["stage"], **row})
         print(f"{row['stage']:24s} " + (f"no speed: verification failed, {row['failed']}" if "failed" in row else
               f"{row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})"), flush=True)
-    finish(arguments, "stages", device, rows, old, size=arguments.size, **limits)
+    finish(arguments, "stages", device, rows, old, size=arguments.size, limits=limits)
     return 1 if any("failed" in row for row in rows) else 0
 
 

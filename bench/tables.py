@@ -85,7 +85,7 @@ def _head(result):
     if "tolerance" in result:
         shown.append("exact" if result["tolerance"] is None else f"tolerance {result['tolerance']:g}")
     shown += [f"{rate:.3g} {unit}" for key, unit in (("copy_gbps", "GB/s copied"), ("fma_gflops", "GFLOP/s measured"))
-              if (rate := result.get(key))]
+              if (rate := result.get("limits", {}).get(key))]
     cores = f", {told['cores']} cores" if "cores" in told else ""
     dirty = ", with changes" if result.get("dirty") else ""
     date = f", {result['date'][:10]}" if result.get("date") else ""

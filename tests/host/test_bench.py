@@ -33,7 +33,7 @@ FRAME = {"megapixels": 2.0736, "planes": 4, "planning_ms": 100.0, "bytes_predict
          "rss": 2**22, "bands": 31}
 EXAMPLES = [
     result("stages", [timed("optics.blur", 1.0, 2.0, 3.0, **STAGE), {"name": "optics.gain", "failed": "error 1"}],
-           size=[64, 48], copy_gbps=10.0, fma_gflops=100.0),
+           size=[64, 48], limits={"copy_gbps": 10.0, "fma_gflops": 100.0}),
     result("loops", [timed("a loop", 1.0, 2.0, 4.0, events_ms=1.0, check="rms 1")], tolerance=None),
     result("scaling", [timed("1920x1080, 31 bands", 1.0, 2.0736, 4.0, **FRAME), {"name": "8K", "failed": "no room"},
                        timed("1280x720, 31 bands", 1.0, 1.8432, 2.0, **FRAME | {"megapixels": 0.9216})]),
@@ -120,6 +120,7 @@ def test_against_warns_of_another_machine_in_one_line(key):
     warning, _ = results.against(result(), other).splitlines()
     assert warning.startswith("warning") and key in warning and "'another' now" in warning
     assert "warning" not in results.against(result(), result(commit="other"))
+    assert "warning" not in results.against(result(limits=1), result(limits=2))
     assert "size [1, 2] then, [3, 4] now" in results.against(result(size=[1, 2]), result(size=[3, 4]))
 
 
@@ -151,6 +152,7 @@ def run(script, *arguments):
     ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
     ("compare.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
     ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
+    ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
     ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
     ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
 ])
