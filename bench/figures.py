@@ -5,6 +5,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 
 def draw(result: dict, path):
@@ -35,6 +36,9 @@ def _stages(result):
                    label=f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s")
         right.legend(fontsize=8)
     right.set(xscale="log", yscale="log", xlabel="operations per byte read and written once", ylabel="GFLOP/s")
+    for axes in (left, right):
+        axes.margins(x=0.15)
+        axes.xaxis.set_minor_formatter(NullFormatter())
     return figure
 
 
@@ -50,6 +54,8 @@ def _scaling(result):
         middle, low, high = (np.array([row[f"ms_{part}"] for row in kept]) / over for part in ("p50", "p25", "p75"))
         axes.errorbar([row[x] for row in kept], middle, (middle - low, high - middle), fmt="o-", capsize=3)
         axes.set(xscale="log", xlabel=label, ylabel="ms a megapixel" if scale else "ms a frame")
+        axes.set_xticks([row[x] for row in kept], [f"{row[x]:.3g}" for row in kept])
+        axes.minorticks_off()
         axes.set_ylim(bottom=0)
         axes.grid(True, alpha=0.3)
     return figure

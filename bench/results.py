@@ -168,25 +168,40 @@ def quartiles(times, key: str = "ms") -> dict:
 
 
 def against(old: dict, new: dict) -> str:
-    """Each row's median over that of the old result; "same" where their quartiles overlap."""
-    lines, before = [], {row["name"]: row for row in old["rows"]}
-    settings = [key for key in sorted(set(old) & set(new) - FOUND) if old[key] != new[key]]
+    """Each row's median over that of the old result, "same" where their quartiles overlap; of text what it was.
+
+    What else is not alike, machine or settings, is said in one line before.
+    """
+    lines, before = [], {_key(row): row for row in old["rows"]}
     differing = [f"{key} {old['machine'].get(key)!r} then, {new['machine'].get(key)!r} now" for key in PLACE
                  if old["machine"].get(key) != new["machine"].get(key)]
-    differing += [f"{key} {old[key]!r} then, {new[key]!r} now" for key in settings]
+    differing += [f"{key} {old[key]!r} then, {new[key]!r} now" for key in sorted(set(old) & set(new) - FOUND)
+                  if old[key] != new[key]]
     if differing:
         lines.append(f"warning: not measured alike: {'; '.join(differing)}")
     lines.append(f"{'now over ' + str(old.get('commit') or 'the old'):40s} {'ratio':>7s} {'quartiles':>18s}")
     for row in new["rows"]:
-        was = before.pop(row["name"], None)
-        if was is None or not was.get("ms_p50") or row.get("ms_p50") is None:
-            lines.append(f"{row['name']:40s} {'-':>7s}  {'new' if was is None else 'no times'}")
-            continue
-        (was_low, was_high), (low, high) = spread(was), spread(row)
-        ratio, least, most = row["ms_p50"] / was["ms_p50"], low / was_high, high / was_low
-        verdict = "same" if low <= was_high and was_low <= high else "slower" if ratio > 1 else "faster"
-        lines.append(f"{row['name']:40s} {ratio:7.2f} {f'{least:.2f} .. {most:.2f}':>18s}  {verdict}")
-    return "\n".join([*lines, *(f"{name:40s} {'-':>7s}  gone" for name in before)])
+        lines.append(f"{row['name']:40s} {_change(before.pop(_key(row), None), row)}")
+    return "\n".join([*lines, *(f"{row['name']:40s} {'-':>7s}  gone" for row in before.values())])
+
+
+def _key(row):
+    return row.get("table"), row["name"]
+
+
+def _change(was, row):
+    """From an old row, or None, to the row of the same name."""
+    if was is None:
+        return f"{'-':>7s}  new"
+    if "cells" in row and "cells" in was:
+        same = list(row["cells"]) == list(was["cells"])
+        return f"{'-':>7s}  " + ("same" if same else f"was {' | '.join(was['cells'])}, is {' | '.join(row['cells'])}")
+    if not was.get("ms_p50") or row.get("ms_p50") is None:
+        return f"{'-':>7s}  no times"
+    (was_low, was_high), (low, high) = spread(was), spread(row)
+    ratio = row["ms_p50"] / was["ms_p50"]
+    verdict = "same" if low <= was_high and was_low <= high else "slower" if ratio > 1 else "faster"
+    return f"{ratio:7.2f} {f'{low / was_high:.2f} .. {high / was_low:.2f}':>18s}  {verdict}"
 
 
 def rms(values, truth) -> float:

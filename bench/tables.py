@@ -180,7 +180,7 @@ def _cells(result):
 
 TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
           "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
-          "picture": _peers, "demosaic": _cells, "color": _cells, "figure8": _cells}
+          "picture": _peers, "demosaic": _cells, "color": _cells, "figure8": _cells, "figure14": _cells}
 
 if __name__ == "__main__":
     start(main)

@@ -114,6 +114,15 @@ def test_against_tells_what_changed():
     assert (found["gone"][-1], found["new"][-1], found["failed"][-1]) == ("gone", "new", "times")
 
 
+def test_against_compares_text_by_its_table():
+    def texts(first, second):
+        return result("color", [{"name": "ridge", "table": "A", "cells": [first]},
+                                {"name": "ridge", "table": "B", "cells": [second]}])
+
+    lines = results.against(texts("1", "2"), texts("1", "3")).splitlines()[1:]
+    assert lines[0].endswith("same") and lines[1].endswith("was 2, is 3")
+
+
 @pytest.mark.parametrize("key", ["cpu", "cores", "device", "driver"])
 def test_against_warns_of_another_machine_in_one_line(key):
     other = result(machine=MACHINE | {key: "another"})
