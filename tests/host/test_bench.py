@@ -14,6 +14,7 @@ import results  # noqa: E402
 import tables  # noqa: E402
 
 from gpusim.domain.errors import BadFile  # noqa: E402
+from gpusim.kernels.stage import stage_module, stage_names  # noqa: E402
 
 MACHINE = {"cpu": "some CPU", "cores": 2, "device": "some device", "driver": "some driver", "python": "3.12"}
 ABOUT = {"device": "opencl:0", "machine": MACHINE, "commit": "abc", "dirty": False, "date": "2026-01-02T03:04:05+00:00"}
@@ -139,6 +140,19 @@ def test_quartiles_and_ratios_are_of_the_rounds():
     assert [rows[0][f"ms_{part}"] for part in ("least", "p25", "p50", "p75", "most")] == [2, 4, 6, 8, 10]
     assert rows[1]["ms_p50"] == 1.0 and rows[1]["error"] == "rms 1"  # two frames in a call
     assert [rows[1][f"over_{part}"] for part in ("least", "p50", "most")] == [2, 6, 10]
+
+
+def test_loop_that_does_not_fit_is_a_row_and_no_failure():
+    asked = {"device": "numpy", "size": [10**6, 10**6], "bands": 31, "tolerance": None, "camera": "phone", "repeat": 1}
+    assert results.in_process("frames", asked)["failed"].startswith("DoesNotFit: three times a scene of 1000000x")
+
+
+@pytest.mark.parametrize("name", [name for name in stage_names() if hasattr(stage_module(name), "operations")])
+def test_operations_of_a_stage_grow_with_its_pixels(name):
+    module = stage_module(name)
+    small, large = (module.operations(**module.bench(*size)) for size in ((96, 160), (192, 320)))
+    # four times the pixels; of transforms more by their logarithm, less by the border of 64 pixels
+    assert 2 < large / small < 5 and small >= 96 * 160
 
 
 def test_rounds_alternate_and_leave_the_warm_ones_out():
