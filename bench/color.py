@@ -1,16 +1,15 @@
 """Colour of a camera: every way of choosing its matrix, the right and the wrong light, and estimates of the light.
 
-    python bench/color.py                       # tables of matrices: no device
-    python bench/color.py --scenes --device opencl:0 [--photo kodim01.png ...]
+    python bench/color.py [--json bench/results/color-NAME.json]       # tables of matrices
+    python bench/color.py --scenes --device opencl:0 [--photo kodim01.png ...]   # and estimates of the light
 
 CIEDE2000 between the 24 ColorChecker patches as the matrix shows them and as they are in D65, mean / maximum, without
 noise. Estimates are made from thumbnails of simulated, noisy pictures; for each its angular error from the true white
 [degree], and the mean CIEDE2000 of the ColorChecker in that light by the stored transform that the estimate leads to.
 """
 
-import argparse
-
 import numpy as np
+from results import Tables, finish, parser, ready, start
 
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
@@ -42,41 +41,29 @@ def differences(qe, light, matrix):
     return colour.delta_E(colour.XYZ_to_Lab(shown.T, white), colour.XYZ_to_Lab(wanted, white), method="CIE 2000")
 
 
-def row(*cells):
-    """Print a row of a Markdown table."""
-    print("|", " | ".join(map(str, cells)), "|")
-
-
-def table(title, *columns):
-    """Print the head of a Markdown table."""
-    print(f"\n{title}\n")
-    row(*columns)
-    row(*["---"] * len(columns))
-
-
-def matrices(qe):
+def matrices(tables, qe):
     """Each method, trained on objects and on Munsell chips."""
     for training in ("objects", "munsell"):
-        table(f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS)
+        tables.table(f"CIEDE2000 of the ColorChecker, mean / max; trained on {training!r}", "method", *LIGHTS)
         for method in METHODS:
             errors = [differences(qe, light, color_matrix(qe, light, training, method=method).matrix)
                       for light in LIGHTS]
-            row(method, *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
+            tables.row(method, *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
         balanced = transform_set(qe, training, ["D65"])  # F D: balance the channels, then the matrix for daylight
         errors = [differences(qe, light, balanced.at(color_matrix(qe, light, training).white).matrix)
                   for light in LIGHTS]
-        row("stored D65 alone (F D)", *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
+        tables.row("stored D65 alone (F D)", *(f"{error.mean():.2f} / {error.max():.1f}" for error in errors))
 
 
-def right_and_wrong(qe):
+def right_and_wrong(tables, qe):
     """Figure 12 of Farrell & Wandell: each light's transform in each light."""
-    table("Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS)
+    tables.table("Transform of one light (column) in another (row): mean CIEDE2000", "scene", *LIGHTS)
     for light in LIGHTS:
-        row(light, *(f"{differences(qe, light, color_matrix(qe, taken, 'objects').matrix).mean():.2f}"
+        tables.row(light, *(f"{differences(qe, light, color_matrix(qe, taken, 'objects').matrix).mean():.2f}"
                      for taken in LIGHTS))
 
 
-def estimates(camera, device, photos):
+def estimates(tables, camera, device, photos):
     """Every estimate, in every light, from a chart, from overlapping discs of surfaces and from photographs."""
     from gpusim.simulator import Simulator  # the other tables need no device
 
@@ -92,8 +79,8 @@ def estimates(camera, device, photos):
         own = color_matrix(sensor.qe, light, camera.processor.training)
         best, daylight = (differences(sensor.qe, light, transform.matrix).mean()
                           for transform in (own, transforms.at(transforms.target_white)))
-        table(f"{light}: angular error [degree], mean CIEDE2000 (given light {best:.2f}, as if D65 {daylight:.2f})",
-              "scene", *ESTIMATES)
+        tables.table(f"{light}: angular error [degree], mean CIEDE2000 (given light {best:.2f}, as if D65 "
+                     f"{daylight:.2f})", "scene", *ESTIMATES)
         over_photos: list = []
         for name, scene in scenes.items():
             frame = simulator(scene(light))
@@ -109,26 +96,26 @@ def estimates(camera, device, photos):
             if name in photos:
                 over_photos.append(errors)
             else:
-                row(name, *(f"{angle:.1f}, {shown:.1f}" for angle, shown in errors))
+                tables.row(name, *(f"{angle:.1f}, {shown:.1f}" for angle, shown in errors))
         if photos:
-            row(f"{len(photos)} photographs, mean", *(f"{a:.1f}, {s:.1f}" for a, s in np.mean(over_photos, 0)))
+            tables.row(f"{len(photos)} photographs, mean", *(f"{a:.1f}, {s:.1f}" for a, s in np.mean(over_photos, 0)))
 
 
 def main():
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--camera", default="phone")
-    parser.add_argument("--scenes", action="store_true", help="simulate scenes for the estimates of the light")
-    parser.add_argument("--photo", nargs="*", default=[], help="photographs to be lit and taken as well")
-    parser.add_argument("--device", default="auto")
-    given = parser.parse_args()
-    camera = open_camera(given.camera)
-    if given.scenes:
-        estimates(camera, given.device, given.photo)
-    else:
-        matrices(camera.sensor.qe)
-        right_and_wrong(camera.sensor.qe)
+    """Print the tables, and write them where asked."""
+    made = parser(__doc__)
+    made.add_argument("--camera", default="phone")
+    made.add_argument("--scenes", action="store_true", help="simulate scenes for the estimates of the light as well")
+    made.add_argument("--photo", nargs="*", default=[], help="photographs to be lit and taken as well")
+    arguments = made.parse_args()
+    device, old = ready(arguments, "color")
+    camera, tables = open_camera(arguments.camera), Tables()
+    matrices(tables, camera.sensor.qe)
+    right_and_wrong(tables, camera.sensor.qe)
+    if arguments.scenes:
+        estimates(tables, camera, device, arguments.photo)
+    finish(arguments, "color", device, tables.rows, old, camera=camera.name, columns=tables.columns)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -1,6 +1,6 @@
 """Figure 14 of Farrell & Wandell: RGB Bayer, RGBW and RGBN sensors by learned filters, in the dark and in the light.
 
-    python bench/figure14.py --out bench       writes figure14.png (learned filters) and prints a table
+    python bench/figure14.py --out bench [--json bench/results/figure14.json]    writes figure14.png (learned filters)
 
 f/4, diffraction-limited, 3 mm focal length, 2.2 um pixels, 100 ms, scenes of 1 and 40 cd/m2 on average over the frame.
 The chapter leaves the rest to its reference [103]. Here: curves of the MT9V024 (R, G, B and clear) behind a phone's
@@ -13,12 +13,11 @@ The scene is none of the training's: a ColorChecker, shaded balls, print and lin
 (ColorChecker SG) that no training scene has.
 """
 
-import argparse
 import dataclasses
-import time
 from pathlib import Path
 
 import numpy as np
+from results import Tables, finish, parser, ready, start
 
 from gpusim.data.charts import WAVELENGTHS, chart
 from gpusim.data.curves import curve
@@ -32,6 +31,7 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.atomic import check_output
 from gpusim.io.scenes import mean_luminance
 from gpusim.l3.train import train, wanted_colors
 from gpusim.simulator import Simulator
@@ -128,24 +128,22 @@ def grey_snr(simulator, white, seed):
 
 def main():
     """Train, take the pictures, print the table, draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png")
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--seed", type=int, default=3, help="of the frames' noise; the training has its own")
-    arguments = parser.parse_args()
+    made = parser(__doc__)
+    made.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder of figure14.png")
+    made.add_argument("--seed", type=int, default=3, help="of the frames' noise; the training has its own")
+    arguments = made.parse_args()
+    device, old = ready(arguments, "figure14")
+    check_output(arguments.out / "figure14.png")
     scene = test_scene()
     own = mean_luminance(scene)
     print(f"mean reflectance {own / 100:.3f}: white at " + ", ".join(f"{100 * at / own:.4g}" for at in LUMINANCES)
           + " cd/m2\n")
-    print("| cd/m2 | mosaic | processor | CPSNR [dB] | mean CIEDE2000 | SNR of a grey card [dB] |\n" + "|---" * 6 + "|")
     pictures, rows = {}, []
     for name, cfa in CAMERAS.items():
-        start = time.perf_counter()
-        table = train(camera(name, cfa), device=arguments.device)
-        seconds = time.perf_counter() - start
+        table = train(camera(name, cfa), device=device)
         for label, settings in (("learned", {"demosaic": "learned", "table": table}), ("interpolation, matrix", {})):
             used = camera(name, cfa, **settings)
-            simulator = Simulator(used, device=arguments.device)
+            simulator = Simulator(used, device=device)
             wanted = np.tensordot(used.display.rgb_from_xyz, wanted_colors(scene), 1)
             for mean in LUMINANCES:
                 light = dataclasses.replace(scene, illuminant=scene.illuminant.scaled(mean / own))
@@ -154,9 +152,14 @@ def main():
                              grey_snr(simulator, 100 * mean / own, arguments.seed)))
                 if label == "learned":
                     pictures[mean, name] = frame.rgb
-        print(f"<!-- {name}: trained in {seconds:.0f} s -->", flush=True)
-    for row in sorted(rows, key=lambda row: (row[0], row[2] != "learned")):
-        print("| {:g} | {} | {} | {:.2f} | {:.2f} | {:.1f} |".format(*row))
+    tables = Tables()
+    for mean in LUMINANCES:
+        tables.table(f"{mean:g} cd/m2", "mosaic and processor", "CPSNR [dB]", "mean CIEDE2000",
+                     "SNR of a grey card [dB]")
+        for at, name, label, cpsnr, difference, snr in sorted(rows, key=lambda row: row[2] != "learned"):
+            if at == mean:
+                tables.row(f"{name}, {label}", f"{cpsnr:.2f}", f"{difference:.2f}", f"{snr:.1f}")
+    finish(arguments, "figure14", device, tables.rows, old, seed=arguments.seed, columns=tables.columns)
     draw(pictures, arguments.out / "figure14.png")
 
 
@@ -177,4 +180,4 @@ def draw(pictures, path):
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

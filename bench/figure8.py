@@ -1,6 +1,6 @@
 """Figure 8 of Farrell & Wandell, "Image Systems Simulation": a sensor 0, 10 and 40 um out of focus, by ISO 12233.
 
-    python bench/figure8.py [--device auto] [--out figure8.png]
+    python bench/figure8.py [--device auto] [--out figure8.png] [--json bench/results/figure8.json]
 
 Prints where the contrast is halved [cycle/mm on the sensor]: measured by `gpusim.measure.sfr` from a picture that went
 through the whole simulator, bilinear demosaicking and colour included, and from the formula of lens, pixel and
@@ -12,7 +12,6 @@ equal photons; an edge of slope 7/3, whose frequencies count along the pixel row
 factor of cos 23 degrees); the quarter-pixel boxes of the reading left in; luminance of the camera's own RGB.
 """
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from gpusim import Noise, Simulator, chart, open_camera
 from gpusim.data.lights import illuminant
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import photons_from_energy
+from gpusim.io.atomic import check_output
 from gpusim.measure import EdgeResponse, mtf50, sfr
 
 DEFOCUS = (0.0, 10e-6, 40e-6)  # [m]
@@ -138,10 +138,13 @@ def shown_weights(frame):
 
 def main():
     """Print the table and save the picture."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--out", default="figure8.png")
-    arguments = parser.parse_args()
+    import results  # tests load this file alone
+
+    made = results.parser(__doc__)
+    made.add_argument("--out", default="figure8.png")
+    arguments = made.parse_args()
+    device, old = results.ready(arguments, "figure8")
+    check_output(arguments.out)
     import matplotlib
     matplotlib.use("Agg")
     from matplotlib import pyplot
@@ -152,7 +155,7 @@ def main():
                                   "formula, red channel", "formula, green channel", "formula, slope 7/3, along rows",
                                   "as the chapter's software")}
     for defocus, (above, below) in zip(DEFOCUS, axes.T, strict=True):
-        frame = picture(defocus, arguments.device)
+        frame = picture(defocus, device)
         measured, weights = sfr(luminance(frame), frame.camera.sensor.pixel_pitch), shown_weights(frame)
         curves = [measured, exact(defocus, weights, light, fine=FINE), exact(defocus, weights, light),
                   *(exact(defocus, row, light) for row in np.eye(3)[:2]),
@@ -175,11 +178,16 @@ def main():
     axes[1, 0].legend(frameon=False)
     figure.tight_layout()
     figure.savefig(arguments.out, dpi=100)
-    print("cycles/mm at 50 %                      " + "".join(f"{1e6 * d:7.0f} um" for d in DEFOCUS))
+    tables = results.Tables()
+    tables.table("Cycles/mm on the sensor where the contrast is halved", "out of focus", *(
+        f"{1e6 * defocus:g} um" for defocus in DEFOCUS))
     for name, found in rows.items():
-        print(f"{name:40s}" + "".join(f"{value:10.1f}" for value in found))
+        tables.row(name, *(f"{value:.1f}" for value in found))
+    results.finish(arguments, "figure8", device, tables.rows, old, columns=tables.columns)
     print(arguments.out)
 
 
 if __name__ == "__main__":
-    main()
+    from results import start
+
+    start(main)

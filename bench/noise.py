@@ -1,21 +1,21 @@
 """The sensor's noise against NumPy's generator in one run, and frames per second.
 
-    python bench/noise.py --device opencl:0 --repeat 15 [--size 1920x1080]
+    python bench/noise.py --device opencl:0 --repeat 15 [--size 1920x1080] [--json bench/results/noise-NAME.json]
 
-Rounds alternate between all forms, so that other work on the machine meets each; a ratio is of one round, the table has
-the median of the rounds and the smallest and largest. NumPy draws `poisson(mean)` and `normal(0, 2)`; "full" has every
-noise there is: photons, dark current, read, rows, columns, fixed offsets, traps in 1 of 1000 pixels, full well and a
-12-bit converter; the mean electrons rise from 1 to 10000. "chip" is what comes before it once per exposure: the mean
-through the response and the hot pixels. "16 frames" draws them in one call; the time is that of one frame. All arrays
-stay on the device. On CUDA also the kernel's own time, 20 calls in one graph.
+Rounds alternate between all forms. NumPy draws `poisson(mean)` and `normal(0, 2)`; "full" has every noise there is:
+photons, dark current, read, rows, columns, fixed offsets, traps in 1 of 1000 pixels, full well and a 12-bit converter;
+the mean electrons rise from 1 to 10000. "chip" is what comes before it once per exposure: the mean through the response
+and the hot pixels. "16 frames" draws them in one call; the time is that of one frame. All arrays stay on the device. On
+CUDA by Warp also the kernel's own time, 20 calls in one graph. There is no error: the digital numbers of given mean
+electrons are those of the reference bit for bit (`gpusim verify --stage sensor.noise`).
 """
 
-import argparse
-import time
+from functools import partial
 
 import numpy as np
+from baseline import noise as by_numpy
+from results import add_repeat, add_size, compared, parser, ready, resident, start
 
-from gpusim.backends import open_device
 from gpusim.kernels.sensor import chip, noise
 
 BATCH = 16
@@ -23,13 +23,9 @@ BATCH = 16
 
 def forms(device, rows, cols):
     """Name -> (function, frames that it draws)."""
-    full, own = noise.bench(rows, cols), chip.bench(rows, cols)
-    mean, random = full["expected"], np.random.default_rng(0)
-
-    def resident(inputs):
-        return {name: device.array(value) if isinstance(value, np.ndarray) else value for name, value in inputs.items()}
-
-    full, own = resident(full), resident(own)
+    full = noise.bench(rows, cols)
+    mean, own = full["expected"], resident(device, chip.bench(rows, cols))
+    full = resident(device, full)
     plain = {name: value for name, value in full.items()
              if name not in ("offset", "amplitude", "row_noise", "column_noise")}
 
@@ -40,7 +36,7 @@ def forms(device, rows, cols):
         return run
 
     return {
-        "NumPy": (lambda: (random.poisson(mean), random.normal(0.0, 2.0, mean.shape)), 1),
+        "NumPy": (partial(by_numpy, np.random.default_rng(0), mean, 2.0), 1),
         "full": (stage(noise.noise, full), 1),
         "full, 16 frames": (stage(noise.noise, {**full, "frames": BATCH}), BATCH),
         "full, exact": (stage(noise.noise, {**full, "photon": "exact"}), 1),
@@ -67,36 +63,30 @@ def graph_us(device, run):
     return float(np.median(times))
 
 
+def clock_us(device, run, frames):
+    """What the device's own clock says of a frame [us], as text; in a CUDA graph as well where there are such."""
+    events = []
+    for _ in range(10):
+        with device.timed() as ms:
+            run()
+        events.append(1e3 * sum(ms.values()) / frames)
+    graph = f", {graph_us(device, run) / frames:.1f} us in a graph" if device.kind == "warp" else ""
+    return f"device's clock {np.median(events):.1f} us{graph}"
+
+
 def main():
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--repeat", type=int, default=15)
-    parser.add_argument("--size", default="1920x1080")
-    arguments = parser.parse_args()
-    cols, rows = map(int, arguments.size.split("x"))
-    device = open_device(arguments.device)
-    runs = forms(device, rows, cols)
-    times, events = ({name: [] for name in runs} for _ in range(2))
-    for number in range(-2, arguments.repeat):  # two rounds to warm up
-        for name, (run, frames) in runs.items():
-            start = time.perf_counter()
-            with device.timed() as ms:
-                run()
-            if number >= 0:
-                times[name].append(1e3 * (time.perf_counter() - start) / frames)
-                events[name].append(1e3 * sum(ms.values()) / frames)
-    print(f"{device.name}, {cols}x{rows}: ms a frame, median (smallest .. largest) of {arguments.repeat} rounds")
-    for name, (run, frames) in runs.items():
-        ratio = np.array(times["NumPy"]) / times[name]
-        line = (f"{name:16s} {np.median(times[name]):8.3f} ({min(times[name]):.3f} .. {max(times[name]):.3f})  "
-                f"NumPy over it {np.median(ratio):7.2f} ({ratio.min():.2f} .. {ratio.max():.2f})")
-        if device.is_gpu and name != "NumPy":
-            line += f"  device's clock {np.median(events[name]):.1f} us"
-            if device.kind == "warp":
-                line += f", in a graph {graph_us(device, run) / frames:.1f} us"
-        print(line)
+    made = parser(__doc__)
+    add_repeat(made, 15)
+    add_size(made)
+    arguments = made.parse_args()
+    device, old = ready(arguments, "noise")
+    runs = forms(device, *arguments.size[::-1])
+    told = {name: clock_us(device, *runs[name]) for name in runs if device.is_gpu and name != "NumPy"}
+    compared(arguments, "noise", device, old, {name: run for name, (run, _) in runs.items()},
+             dict.fromkeys([name for name in runs if name != "NumPy"], "NumPy"), told,
+             {name: frames for name, (_, frames) in runs.items()}, size=arguments.size)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -1,7 +1,8 @@
 """From raw numbers to a picture, against OpenCV's demosaicking and a camera pipeline in Halide.
 
-    python bench/picture.py                 CPUs: ratios of one interleaved run, as Markdown
-    python bench/picture.py --gpu           GPUs: time per launch, launches back to back
+    python bench/picture.py --device opencl [--json bench/results/picture-NAME.json]
+
+On a CPU rounds alternate between ours and the peers; on a GPU it is the time per launch, launches back to back.
 
 The pipeline in Halide is the one that its authors introduced it with (Ragan-Kelley et al. 2012, ACM Transactions on
 Graphics 31 (4), section 6; after Adams et al. 2010, The Frankencamera), from its description: hot pixels suppressed,
@@ -14,13 +15,13 @@ phase, and rounds codes exactly.
 Needs `pip install opencv-python-headless halide`.
 """
 
-import argparse
-import time
+import os
+from importlib.util import find_spec
 
 import numpy as np
+from results import add_repeat, compared, cores, finish, parser, quartiles, ready, resident, show, start
 
-from gpusim.backends import open_device
-from gpusim.backends.probe import devices
+from gpusim.domain.errors import BadData
 from gpusim.kernels.stage import public_function, stage_module
 
 SIZE = 1080, 1920
@@ -120,7 +121,7 @@ def peers():
     import cv2
     import halide as hl
 
-    cv2.setNumThreads(2)
+    cv2.setNumThreads(cores())
     rows, cols = SIZE
     mosaic = stage_module("processor.bilinear").bench(rows, cols)["raw"]
     planes = np.empty((rows, cols, 3), np.uint16)
@@ -148,65 +149,13 @@ def ours(device):
 
 
 def _frame(device, name, inputs):
-    inputs = {key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-              for key, value in inputs.items()}
+    inputs = resident(device, inputs)
 
     def run():
         public_function(name)(**inputs, device=device)
         device.sync()
 
     return run
-
-
-def timed(runs, repetitions):
-    """Milliseconds of every run, interleaved: wall time and processor time of all threads, (runs, repetitions, 2)."""
-    for run in runs:
-        run()
-    taken = np.empty((len(runs), repetitions, 2))
-    for repetition in range(repetitions):
-        for number, run in enumerate(runs):
-            wall, work = time.perf_counter(), time.process_time()
-            run()
-            taken[number, repetition] = time.perf_counter() - wall, time.process_time() - work
-    return 1e3 * taken
-
-
-def spread(values):
-    """Median (20th .. 80th percentile)."""
-    low, middle, high = np.percentile(values, (20, 50, 80))
-    return f"{middle:.2f} ({low:.2f} .. {high:.2f})"
-
-
-def on_cpus(repetitions):
-    """Table of all CPU devices of OpenCL: wall time, processor time, ratio to the peer."""
-    import os
-
-    names = [entry["name"] for entry in devices() if entry["name"].startswith("opencl") and not entry["gpu"]]
-    os.environ.setdefault("HL_NUM_THREADS", str(os.cpu_count()))
-    runs = {("peer", name): run for name, run in peers().items()}
-    for name in names:
-        runs |= {(name, stage): run for stage, run in ours(open_device(name)).items()}
-    keys = list(runs)
-    taken = dict(zip(keys, timed(list(runs.values()), repetitions), strict=True))
-    print("| device | what | wall [ms] | processor [ms] | wall / peer | processor / peer |\n|---|---|---|---|---|---|")
-    for device, what in keys:
-        row = taken[device, what]
-        peer = {"processor.bilinear": "OpenCV"}.get(what, "Halide" if "develop" in what else None)
-        ratios = "| |" if peer is None or device == "peer" else (
-            "| ".join(spread(row[:, n] / taken["peer", peer][:, n]) + " " for n in range(2)) + "|")
-        print(f"| {device} | {what} | {spread(row[:, 0])} | {spread(row[:, 1])} | {ratios}")
-
-
-def on_gpus(launches, frames=4):
-    """Microseconds per launch on every GPU, launches back to back over several frames, more than its cache holds."""
-    print("| device | stage | per launch [us] |\n|---|---|---|")
-    for entry in devices():
-        if entry["gpu"] and not entry["error"]:
-            device = open_device(entry["name"])
-            for stage in STAGES:
-                calls = [call for _ in range(frames) for call in _launches(device, stage)]
-                each = (_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames)
-                print(f"| {device.name} | {stage} | {spread(each)} |")
 
 
 def _launches(device, stage):
@@ -262,16 +211,31 @@ def _warp(device, calls, rounds, repetitions=7):
 
 
 def main():
-    """Run on CPUs or GPUs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--gpu", action="store_true", help="time the GPUs, not the CPUs")
-    parser.add_argument("--repetitions", type=int, default=30)
-    arguments = parser.parse_args()
-    if arguments.gpu:
-        on_gpus(launches=200)
-    else:
-        on_cpus(arguments.repetitions)
+    """Print the table, and write it where asked."""
+    made = parser(__doc__)
+    add_repeat(made, 30)
+    arguments = made.parse_args()
+    device, old = ready(arguments, "picture")
+    size = {"size": SIZE[::-1]}
+    if device.is_gpu:
+        rows = [{"name": f"{stage}, a launch", **quartiles(per_launch(device, stage)), "error": ""} for stage in STAGES]
+        show(rows)
+        finish(arguments, "picture", device, rows, old, **size)
+        return
+    if not (find_spec("cv2") and find_spec("halide")):
+        raise BadData("picture.py: the peers are not installed; pip install opencv-python-headless halide")
+    os.environ.setdefault("HL_NUM_THREADS", str(cores()))
+    own = ours(device)
+    bases = {name: "Halide" if "develop" in name else "OpenCV" for name in own
+             if "develop" in name or name == "processor.bilinear"}
+    compared(arguments, "picture", device, old, peers() | own, bases, **size)
+
+
+def per_launch(device, stage, launches=200, frames=4):
+    """Milliseconds per launch, launches back to back over several frames, more than a GPU's cache holds."""
+    calls = [call for _ in range(frames) for call in _launches(device, stage)]
+    return np.array((_opencl if device.kind == "opencl" else _warp)(device, calls, launches // frames)) / 1e3
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -1,18 +1,19 @@
 """What the optics' kernels take on a GPU: reduce, forward, fold, inverse; and cuFFT, where PyTorch has it.
 
-    python bench/transforms.py --device opencl:nvidia --device warp:cuda:0
+    python bench/transforms.py --device opencl:nvidia [--json bench/results/transforms-NAME.json]
 
-1080p, 31 bands to r planes, border extended to the period, Bayer mosaic. Rounds of devices and planes alternate. Device
-events; a copy of 2 GB goes first, so that no kernel waits for the host to launch it. p50 (p20 .. p80) in microseconds.
+1080p, 31 bands to r planes, border extended to the period, Bayer mosaic. Rounds of planes alternate. Device events; a
+copy of 2 GB goes first, so that no kernel waits for the host to launch it.
 """
 
-import argparse
 from collections import defaultdict
 from contextlib import contextmanager
 
 import numpy as np
+from results import add_repeat, count, finish, parser, quartiles, ready, show, start
 
-from gpusim.backends import open_device
+from gpusim.cli import size
+from gpusim.domain.errors import OutOfRange, one_line
 from gpusim.kernels.common import fft
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate
@@ -41,9 +42,9 @@ def by_kernel(device):
     times.update({kernel: 1e3 * ms[kernel] for kernel in ms if kernel != "common.copy"})
 
 
-def of_device(name, period, planes):
+def of_device(device, period, planes):
     """Function that runs once and returns microseconds by stage and kernel."""
-    device, random = open_device(name), np.random.default_rng(planes)
+    random = np.random.default_rng(planes)
     content = device.array(random.random((BANDS, ROWS, COLS), np.float32))
     weights = device.array(random.random((planes, BANDS), np.float32))
     tables = device.array(random.random((3, planes, period[0] // 2 + 1, period[1] // 2 + 1), np.float32))
@@ -94,33 +95,33 @@ def of_library(period, planes):
 
 
 def main():
-    """Print a table for each device."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--device", action="append")
-    parser.add_argument("--period", default="1200x2048", help="rows x columns of the transforms")
-    parser.add_argument("--planes", type=int, nargs="*", default=[3, 4, 6])
-    parser.add_argument("--repeat", type=int, default=50)
-    arguments = parser.parse_args()
-    period = tuple(map(int, arguments.period.split("x")))
-    runs = {(name, planes): of_device(name, period, planes)
-            for name in arguments.device or ["opencl"] for planes in arguments.planes}
+    """Print a row for each part, and write them where asked."""
+    made = parser(__doc__)
+    made.add_argument("--period", type=size, default=(2048, 1200), metavar="COLSxROWS", help="of the transforms "
+                      "(default: 2048x1200)")
+    made.add_argument("--planes", type=count, nargs="*", default=[3, 4, 6])
+    add_repeat(made, 50)
+    arguments = made.parse_args()
+    device, old = ready(arguments, "transforms")
+    period = arguments.period[::-1]
+    if period[0] < ROWS or period[1] < COLS or any(n % 2 or n not in fft.LENGTHS for n in period):
+        raise OutOfRange("--period", "x".join(map(str, arguments.period)), f"even products of 2, 3 and 5 from "
+                         f"{COLS}x{ROWS} on")
+    runs = {f"{planes} planes": of_device(device, period, planes) for planes in arguments.planes}
     try:
-        runs |= {("cuFFT", planes): of_library(period, planes) for planes in arguments.planes}
+        runs |= {f"cuFFT, {planes} planes": of_library(period, planes) for planes in arguments.planes}
     except (ImportError, RuntimeError, AssertionError) as error:
-        print(f"cuFFT: {error}")
-    times = {run: defaultdict(list) for run in runs}
-    for once in runs.values():  # warm: built, tables kept
-        once()
-    for _ in range(arguments.repeat):
+        print(f"cuFFT: {one_line(error)}")
+    times: dict = defaultdict(list)
+    for number in range(-1, arguments.repeat):  # warm: built, tables kept
         for run, once in runs.items():
             for stage, value in once().items():
-                times[run][stage].append(value)
-    for name in dict.fromkeys(name for name, _ in runs):
-        print(f"\n{name}, {arguments.period}, us: " + ", ".join(f"{planes} planes" for planes in arguments.planes))
-        for stage in times[name, arguments.planes[0]]:
-            cells = (np.percentile(times[name, planes][stage], (50, 20, 80)) for planes in arguments.planes)
-            print(f"{stage:42s}" + "  ".join(f"{p50:7.1f} ({p20:.1f} .. {p80:.1f})" for p50, p20, p80 in cells))
+                if number >= 0:
+                    times[f"{run}: {stage.strip()}"].append(value / 1e3)
+    rows = [{"name": name, **quartiles(taken), "error": ""} for name, taken in times.items()]
+    show(rows)
+    finish(arguments, "transforms", device, rows, old, period=period, repeat=arguments.repeat)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

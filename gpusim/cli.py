@@ -161,17 +161,18 @@ def _bench(arguments):
     rows: list[dict] = []
     devices, broken = _devices(arguments.device)
     stages = _stages(arguments.stage)
-    print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p20':>9s} {'p50':>9s} {'p80':>9s} {'GB/s':>7s} "
-          f"{'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
+    print(f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p25':>9s} {'p50':>9s} {'p75':>9s} {'GB/s':>7s} "
+          f"{'GFLOP/s':>8s} {'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}")
     for device in devices:
         for row in bench(device, stages, size):
             rows.append(row)
             if "failed" in row:
                 print(f"{row['device']:10s} {row['stage']:22s} no speed: verification failed, {row['failed']}")
                 continue
-            ratio = f"{row['ratio_to_floor']:8.1f}" if row["ratio_to_floor"] else f"{'-':>8s}"
-            print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p20']:9.3f} "
-                  f"{row['ms_p50']:9.3f} {row['ms_p80']:9.3f} {row['gbps']:7.1f} {ratio} {row['build_ms']:9.1f} "
+            rate, ratio = (f"{'-':>8s}" if value is None else f"{value:8.1f}"
+                           for value in (row["gflops"], row["ratio_to_floor"]))
+            print(f"{row['device']:10s} {row['stage']:22s} {row['size']:>10s} {row['ms_p25']:9.3f} "
+                  f"{row['ms_p50']:9.3f} {row['ms_p75']:9.3f} {row['gbps']:7.1f} {rate} {ratio} {row['build_ms']:9.1f} "
                   f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}")
     for row in broken:
         rows.append({"stage": row["stage"], "device": row["device"], "failed": row["why"]})
@@ -232,7 +233,8 @@ def _write_json(path, rows):
         temporary.write_text(json.dumps(rows, indent=2, allow_nan=False) + "\n")
 
 
-def _size(text):
+def size(text: str) -> tuple[int, int]:
+    """Columns and rows of `COLSxROWS` on a command line."""
     try:
         cols, rows = (int(part) for part in text.lower().split("x"))
     except ValueError:
@@ -291,15 +293,15 @@ def _add_operation(simulate):
                           "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
 
 
-class _OneLineParser(argparse.ArgumentParser):
+class OneLineParser(argparse.ArgumentParser):
     """Wrong arguments are said in one line, as every other mistake is."""
 
-    def error(self, message):
+    def error(self, message):  # noqa: D102  argparse's
         self.exit(2, f"{self.prog}: {one_line(message)} (see {self.prog} --help)\n")
 
 
 def _parser():
-    parser = _OneLineParser(prog="gpusim", description="Simulate a camera: scene radiance, optics, sensor, "
+    parser = OneLineParser(prog="gpusim", description="Simulate a camera: scene radiance, optics, sensor, "
                                      "image processor, display.")
     parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -320,7 +322,7 @@ def _parser():
                           help=".png display, .exr linear RGB, .dng raw, .npz electrons and DN; may be repeated")
     simulate.add_argument("--report", metavar="FILE.json", help="what was modelled, times and errors")
     simulate.add_argument("--verify", action="store_true", help="also run the float64 reference: the true error")
-    simulate.add_argument("--size", type=_size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
+    simulate.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
     simulate.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
                           "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
                           "scene's, 1)")
@@ -341,7 +343,7 @@ def _parser():
         command.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
         command.add_argument("--json", metavar="FILE", help="write the rows")
         command.set_defaults(run=run)
-    bench.add_argument("--size", type=_size, default=(1920, 1080), metavar="COLSxROWS", help="default: 1920x1080")
+    bench.add_argument("--size", type=size, default=(1920, 1080), metavar="COLSxROWS", help="default: 1920x1080")
 
     devices = commands.add_parser("devices", help="what there is, how fast it copies, and why a device is unusable")
     devices.add_argument("--json", action="store_true", help="as JSON")

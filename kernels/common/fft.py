@@ -29,6 +29,11 @@ def fft_length(minimum: int) -> int:
     return next(length for length in LENGTHS if length >= minimum)
 
 
+def operations(period) -> float:
+    """Nominal multiplications and additions of a plane's real transform, 2.5 N log2 N, as FFTW counts them."""
+    return 2.5 * prod(period) * np.log2(prod(period))
+
+
 def pitch_of(device, cols) -> int:
     """Complex values from one row of a spectrum of `cols` columns to the next: whole sectors on a GPU."""
     half = cols // 2 + 1

@@ -98,3 +98,10 @@ def bench(rows, cols):
     return {"planes": random.random((31, rows, cols), np.float32),
             "tables": random.random((1, 31, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
             "mix": random.random((3, 31), np.float32), "border": "edge", "period": period}
+
+
+def operations(planes, tables, mix, border, period):
+    """Transforms there and back; per frequency each plane times its table, and that times the mix, added up."""
+    frequencies = period[0] * (period[1] // 2 + 1)
+    channels, count = mix.shape
+    return (count + channels) * fft.operations(period) + frequencies * count * (2 * len(tables) + 4 * channels)

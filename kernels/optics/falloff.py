@@ -38,3 +38,8 @@ def bench(rows, cols):
     """Three planes, one map."""
     random = np.random.default_rng(9)
     return {"planes": random.random((3, rows, cols), np.float32), "gains": random.random((1, rows, cols), np.float32)}
+
+
+def operations(planes, gains):
+    """A multiplication for each value."""
+    return planes.size

@@ -195,3 +195,10 @@ def bench(rows, cols):
             "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
             "mix": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
             "period": period}
+
+
+def operations(planes, tables, mix, cfa, border, period):
+    """Transforms there; per frequency and channel each plane times its table, added up; back one for each phase."""
+    frequencies, phases = period[0] * (period[1] // 2 + 1), cfa.shape
+    back = cfa.size * fft.operations([length // n for length, n in zip(period, phases, strict=True)])
+    return len(planes) * fft.operations(period) + 4 * frequencies * mix.size + back

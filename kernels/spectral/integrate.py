@@ -60,3 +60,8 @@ def bench(rows, cols):
     """A 31-band cube to three channels."""
     random = np.random.default_rng(1)
     return {"content": random.random((31, rows, cols), np.float32), "weights": random.random((3, 31), np.float32)}
+
+
+def operations(content, weights):
+    """A multiplication and an addition for each sample and plane."""
+    return 2 * len(weights) * content.size

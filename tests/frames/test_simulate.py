@@ -462,8 +462,9 @@ def test_bench_refuses_a_stage_that_fails(capsys, monkeypatch, tmp_path):
     arguments = ("bench", "--device", "opencl", "--stage", "processor.linear", "--size", "64x48", "--json", rows)
     assert run(capsys, *arguments)[0] == 0
     row, = json.loads(rows.read_text())
-    assert {"stage", "device", "size", "ms_p20", "ms_p50", "ms_p80", "bytes", "gbps", "floor_ms", "ratio_to_floor",
-            "build_ms", "rel_rms_error", "max_error"} <= set(row)
+    assert {"stage", "device", "size", "ms_p25", "ms_p50", "ms_p75", "bytes", "gbps", "operations", "gflops",
+            "floor_ms", "bound", "ratio_to_floor", "build_ms", "rel_rms_error",
+            "max_error"} <= set(row)
     import gpusim.kernels.processor.linear as stage
 
     right = stage.linear

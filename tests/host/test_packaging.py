@@ -25,7 +25,7 @@ ALLOWED = {
     "gpusim.planner": {"gpusim.domain", "gpusim.data", "gpusim.optics"},
     "gpusim.report": {"gpusim.domain"},
     "gpusim.verify": {"gpusim.backends", "gpusim.kernels"},
-    "gpusim.bench": {"gpusim.backends", "gpusim.kernels", "gpusim.verify"},
+    "gpusim.bench": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.verify"},
     "gpusim.readout": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner", "gpusim.program.kept"},
     "gpusim.developer": {"gpusim.domain", "gpusim.backends", "gpusim.kernels", "gpusim.planner"},
     "gpusim.program.kept": {"gpusim.backends"},

@@ -1,0 +1,358 @@
+"""Peers that are installed, each in turns with ours, and each with its error against the float64 reference.
+
+    python bench/compare.py --device opencl --json bench/results/compare-NAME.json [--subject frame] [--size 1920x1080]
+
+frame: a cube to mean electrons by a transform per band, in SciPy, ducc0 and PyTorch, and by us with and without a
+tolerance; error: relative RMS against float64. demosaic: an RGGB mosaic of 16 bit to RGB; error: relative RMS against
+the float64 reference of the same method where we have one, and CPSNR against the picture that the mosaic was made of,
+both without a border of 10 pixels. LibRaw's time is that of postprocess() with its colour steps. convolve-15,
+convolve-63: a plane by one kernel; error: the largest local one beside a highlight of 1e6.
+
+Ratios are over what NumPy and SciPy take, bench/baseline.py. Peers take as many threads as there are cores, and read
+and write host memory; ours stays on the device. What is not installed is said in its row.
+"""
+
+import os
+from functools import partial
+from importlib.util import find_spec
+from itertools import cycle
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import baseline
+import numpy as np
+from baseline import Baseline
+from frames import SECONDS, cube
+from results import add_size, cores, count, finish, parser, peer_rows, ready, rms, rounds, show, start
+
+from gpusim.data.cameras import open_camera
+from gpusim.data.charts import chart
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene
+from gpusim.io.dng import write_dng
+from gpusim.kernels.stage import public_function
+from gpusim.simulator import Simulator
+
+PACKAGES = {"cv2": "opencv-python-headless", "colour_demosaicing": "colour-demosaicing", "rawpy": "rawpy",
+            "torch": "torch", "ducc0": "ducc0", "halide": "halide"}
+BORDER = 10  # [pixel] that methods treat in other ways
+ERROR_SIZE = (480, 270)  # of the mosaic that errors are measured on
+WHITE = 65535  # of the mosaic
+
+
+class Subject:
+    """Forms of one task: what runs, its error, and which are missing; the base is that of NumPy or SciPy."""
+
+    def __init__(self, name: str, base: str):
+        self.name, self.base, self.forms, self.errors, self.missing = name, base, {}, {}, []
+
+    def add(self, name: str, make, package: str | None = None):
+        """A form. make(): a function that does the task and waits, and the text of its error."""
+        name = f"{self.name}: {name}"
+        if package is not None and find_spec(package) is None:
+            self.missing.append({"name": name, "failed": f"not installed: pip install {PACKAGES[package]}"})
+        else:
+            self.forms[name], self.errors[name] = make()
+
+    def rows(self, repeat) -> list[dict]:
+        """Time all in turns."""
+        base = f"{self.name}: {self.base}"
+        times = rounds(self.forms, repeat)
+        return peer_rows(times, {name: base for name in times if name != base}, self.errors) + self.missing
+
+
+class WithDucc(Baseline):
+    """The baseline with ducc0's transforms."""
+
+    def forward(self, plane):
+        """See Baseline."""
+        import ducc0
+
+        return ducc0.fft.r2c(plane, axes=(0, 1), nthreads=cores())
+
+    def inverse(self, spectra):
+        """See Baseline."""
+        import ducc0
+
+        return ducc0.fft.c2r(spectra, axes=(1, 2), lastsize=self.plan.period[1], forward=False, inorm=2,
+                             nthreads=cores(), allow_overwriting_input=True)
+
+
+class WithTorch(Baseline):
+    """The same in PyTorch, the cube and the tables on its device."""
+
+    def __init__(self, simulator: Simulator, scene: Scene, place: str):
+        import torch
+
+        super().__init__(simulator, scene)
+        torch.set_num_threads(cores())
+        self.place = place
+        self.there = {name: torch.from_numpy(np.ascontiguousarray(getattr(self, name))).to(place)
+                      for name in ("tables", "mix", "falloff")}
+
+    def mean(self, cube, seconds):
+        """Mean electrons of a cube, a tensor, as a tensor."""
+        import torch
+
+        rows, cols = cube.shape[1:]
+        (top, left), (high, wide) = self.before, self.plan.period
+        pads = (left, wide - cols - left, top, high - rows - top)
+        tables, mix = self.there["tables"], self.there["mix"]
+        sums = torch.zeros((len(mix), high, wide // 2 + 1), dtype=torch.complex64, device=self.place)
+        for band, table, weights in zip(cube, tables, mix.T, strict=True):
+            padded = torch.nn.functional.pad(band[None, None], pads, mode="replicate")[0, 0]
+            sums += weights[:, None, None] * (torch.fft.rfft2(padded) * table)
+        channels = torch.fft.irfft2(sums, (high, wide))[:, top : top + rows, left : left + cols]
+        mosaic = torch.empty((rows, cols), device=self.place)
+        for (dy, dx), channel in np.ndenumerate(self.cfa):
+            step_y, step_x = self.cfa.shape
+            mosaic[dy::step_y, dx::step_x] = channels[int(channel), dy::step_y, dx::step_x]
+        result = mosaic.clamp_(min=0) * (self.there["falloff"] * seconds)
+        if self.place != "cpu":
+            torch.cuda.synchronize()
+        return result
+
+
+def frame(device, size, tolerance) -> Subject:
+    """A cube to mean electrons."""
+    picture, camera = chart("deadleaves", size=size), open_camera("phone")
+    values = cube(picture)
+    cubes = [values, values * np.float32(1.01)]
+    scenes = [Scene(Cube(picture.wavelengths, part), picture.illuminant, picture.border) for part in cubes]
+    truth = Simulator(camera, device="numpy").expose(scenes[0], SECONDS).mean
+    exact, subject = Simulator(camera, device=device), Subject("frame", "SciPy")
+
+    def ours(limit):
+        there = [Scene(Cube(picture.wavelengths, device.array(part)), picture.illuminant, picture.border)
+                 for part in cubes]
+        program = Simulator(camera, device=device, tolerance=limit).program(there[0], SECONDS)
+        given = cycle(there[::-1])
+        error = f"rms {rms(device.numpy(program.output('mean')), truth):.1e}"
+
+        def run():
+            program.update(scene=next(given)).output("mean")
+            device.sync()
+
+        return run, error
+
+    def peer(kind, *where):
+        made = kind(exact, scenes[0], *where)
+        given = cubes
+        if where:
+            import torch
+
+            given = [torch.from_numpy(part).to(*where) for part in cubes]
+        result = made.mean(given[0], SECONDS)
+        error = f"rms {rms(result.cpu() if where else result, truth):.1e}"
+        following = cycle(given[::-1])
+        return lambda: made.mean(next(following), SECONDS), error
+
+    subject.add("SciPy", partial(peer, Baseline))
+    subject.add("ducc0", partial(peer, WithDucc), "ducc0")
+    subject.add("PyTorch", partial(peer, WithTorch, "cpu"), "torch")
+    if device.is_gpu and find_spec("torch"):
+        import torch
+
+        if torch.cuda.is_available():
+            subject.add("PyTorch, CUDA", partial(peer, WithTorch, "cuda"))
+    subject.add("gpusim, every band", partial(ours, None))
+    if tolerance:
+        subject.add(f"gpusim, tolerance {tolerance:g}", partial(ours, tolerance))
+    return subject
+
+
+def demosaic(device, size, tolerance) -> Subject:
+    """An RGGB mosaic to RGB."""
+    subject = Subject("demosaic", "NumPy, bilinear")
+    raw, (small, truth) = _mosaic(size)[0], _mosaic(ERROR_SIZE)
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / WHITE}
+    references = {name: np.moveaxis(public_function(f"processor.{name}")(small, **options, device="numpy"), 0, 2)
+                  for name in ("bilinear", "malvar")}
+
+    def judged(method, reference=None):
+        """method(raw) gives a function without arguments that gives RGB (rows, cols, 3), 1 = white."""
+        shown = np.asarray(method(small)(), np.float64)[inner]
+        cpsnr = -10 * np.log10(np.mean((shown - truth[inner]) ** 2))
+        same = "" if reference is None else f"rms {rms(shown, references[reference][inner]):.1e}; "
+        return method(raw), f"{same}CPSNR {cpsnr:.2f} dB"
+
+    def ours(name):
+        def method(mosaic):
+            there = device.array(mosaic, np.uint16)
+
+            def run():
+                result = public_function(f"processor.{name}")(there, **options, device=device)
+                device.sync()
+                return np.moveaxis(device.numpy(result), 0, 2) if mosaic is small else None
+
+            return run
+        return method
+
+    def numpy(mosaic):
+        if mosaic is small:
+            return lambda: np.moveaxis(baseline.bilinear(mosaic, 1 / WHITE), 0, 2)
+        return partial(baseline.bilinear, mosaic, 1 / WHITE)
+
+    subject.add("NumPy, bilinear", partial(judged, numpy, "bilinear"))
+    for name in ("bilinear", "malvar", "adaptive", "best", "learned"):
+        subject.add(f"gpusim, {name}", partial(judged, ours(name), name if name in references else None))
+    for name, reference in (("", "bilinear"), ("_EA", None)):
+        subject.add(f"OpenCV, {'edge-aware' if name else 'bilinear'}", lambda name=name, reference=reference: judged(
+            partial(_opencv, f"COLOR_BayerBG2RGB{name}"), reference), "cv2")
+    for name, reference in (("bilinear", "bilinear"), ("Malvar2004", "malvar"), ("Menon2007", None)):
+        subject.add(f"colour-demosaicing, {name}", lambda name=name, reference=reference: judged(
+            partial(_colour, f"demosaicing_CFA_Bayer_{name}"), reference), "colour_demosaicing")
+    for name in ("LINEAR", "PPG", "AHD"):
+        subject.add(f"LibRaw, {name}", lambda name=name: judged(partial(_libraw, name)), "rawpy")
+    return subject
+
+
+def _mosaic(size):
+    """Mosaic (rows, cols) uint16 and the picture it was made of (rows, cols, 3), 1 = white."""
+    from scipy.ndimage import gaussian_filter
+
+    content = chart("deadleaves", size=size, wavelengths=[450.0, 540.0, 610.0]).content
+    picture = np.moveaxis(content.bands_at(slice(None)), 0, 2)[..., ::-1]
+    picture = gaussian_filter(picture / picture.max(), (0.7, 0.7, 0))  # a lens's blur
+    raw = np.empty(picture.shape[:2])
+    for (dy, dx), channel in np.ndenumerate([[0, 1], [1, 2]]):
+        raw[dy::2, dx::2] = picture[dy::2, dx::2, channel]
+    return np.rint(WHITE * raw).astype(np.uint16), picture
+
+
+def _opencv(code, raw):
+    import cv2
+
+    cv2.setNumThreads(cores())
+    return _scaled(lambda: cv2.demosaicing(raw, getattr(cv2, code)), raw)
+
+
+def _colour(name, raw):
+    import colour_demosaicing
+
+    values = raw / np.float64(WHITE)
+    return lambda: getattr(colour_demosaicing, name)(values, "RGGB")
+
+
+def _libraw(name, raw):
+    import rawpy
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "frame.dng"
+        write_dng(path, raw, "RGGB", 0, WHITE, np.eye(3), np.ones(3))
+        picture = rawpy.imread(str(path))
+        picture.unpack()
+    develop = partial(picture.postprocess, demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, name), output_bps=16,
+                      no_auto_bright=True, gamma=(1, 1), user_wb=[1, 1, 1, 1], output_color=rawpy.ColorSpace.raw)
+    return _scaled(develop, raw)
+
+
+def _scaled(run, raw):
+    """The same with 1 for white, on the mosaic that errors are measured on; scaling is not to be timed."""
+    return (lambda: run() / WHITE) if raw.shape == ERROR_SIZE[::-1] else run
+
+
+def convolve(taps, device, size, tolerance) -> Subject:
+    """A plane by one kernel of taps x taps."""
+    from gpusim.kernels.optics.convolve import convolve
+    from gpusim.kernels.optics.convolve_ref import convolve as reference
+
+    (cols, rows), half, random = size, taps // 2, np.random.default_rng(0)
+    plane = random.uniform(0.5, 1.5, (rows, cols)).astype(np.float32)
+    plane[rows // 2, cols // 2] = 1e6
+    kernel = random.uniform(0.5, 1, (taps, taps))
+    kernel = (kernel / kernel.sum()).astype(np.float32)
+    flipped = np.ascontiguousarray(kernel[::-1, ::-1])  # most peers correlate
+    wide = np.pad(plane, half, mode="edge")
+    # near the highlight: that it takes part in, and what these take part in
+    near = np.s_[rows // 2 - half : rows // 2 + half + 1, cols // 2 - half : cols // 2 + half + 1]
+    around = np.s_[near[0].start : near[0].stop + 2 * half, near[1].start : near[1].stop + 2 * half]
+    truth = reference(wide[around][None], kernel[None].astype(np.float64))[0][half:-half, half:-half]
+    there = device.array(plane[None])
+
+    def judged(run):
+        result = run()
+        result = np.asarray(device.numpy(result) if isinstance(result, device.array_type) else result)
+        return run, f"local {np.abs(result.reshape(rows, cols)[near] / truth - 1).max():.1e}"
+
+    def ours(precision):
+        def run():
+            result = convolve(there, kernel[None], "edge", precision, device=device)
+            device.sync()
+            return result
+        return judged(run)
+
+    def opencv():
+        import cv2
+
+        cv2.setNumThreads(cores())
+        return judged(lambda: cv2.filter2D(plane, -1, flipped, borderType=cv2.BORDER_REPLICATE))
+
+    def pytorch():
+        import torch
+
+        torch.set_num_threads(cores())
+        padded, factors = (torch.from_numpy(values)[None, None] for values in (wide, flipped))
+        return judged(lambda: torch.nn.functional.conv2d(padded, factors)[0, 0])
+
+    subject = Subject(f"convolve {taps} x {taps}", "SciPy")
+    subject.add("SciPy", lambda: judged(partial(baseline.convolve, plane, kernel)))
+    subject.add("gpusim, float32 sums", partial(ours, "single"))
+    subject.add("gpusim, exact sums", partial(ours, "double"))
+    subject.add("OpenCV, filter2D", opencv, "cv2")
+    subject.add("PyTorch, conv2d", pytorch, "torch")
+    subject.add("Halide", lambda: judged(_halide(wide, flipped)), "halide")
+    return subject
+
+
+def _halide(padded, flipped):
+    """Direct sums in Halide: vectors along the rows, blocks of four rows by four vectors in registers, strips apart."""
+    os.environ.setdefault("HL_NUM_THREADS", str(cores()))
+    import halide as hl
+
+    taps = len(flipped)
+    rows, cols = (n - taps + 1 for n in padded.shape)
+    x, y, xo, yo, xi, yi = (hl.Var(name) for name in ("x", "y", "xo", "yo", "xi", "yi"))
+    source, factors, reach = hl.Buffer(padded), hl.Buffer(flipped), hl.RDom([(0, taps), (0, taps)])
+    sums, out = hl.Func("sums"), hl.Func("out")
+    sums[x, y] = hl.f32(0)
+    sums[x, y] += source[x + reach.x, y + reach.y] * factors[reach.x, reach.y]
+    out[x, y] = sums[x, y]
+    out.tile(x, y, xo, yo, xi, yi, 32, 4).vectorize(xi, 8).unroll(xi).unroll(yi).parallel(yo)
+    sums.compute_at(out, xo).vectorize(x, 8).unroll(x).unroll(y)
+    sums.update().reorder(x, y, reach.x, reach.y).vectorize(x, 8).unroll(x).unroll(y)
+    result = np.empty((rows, cols), np.float32)
+    target = hl.Buffer(result)
+
+    def run(kept=(padded, flipped)):  # Halide's buffers do not keep the memory that they show
+        out.realize(target)
+        return result
+
+    return run
+
+
+SUBJECTS = {"frame": frame, "demosaic": demosaic, "convolve-15": partial(convolve, 15),
+            "convolve-63": partial(convolve, 63)}
+
+
+def main():
+    """Print the rows, and write them where asked."""
+    made = parser(__doc__)
+    add_size(made)
+    made.add_argument("--subject", choices=SUBJECTS, action="append", help="may be repeated (default: all)")
+    made.add_argument("--tolerance", type=float, default=4e-4, help="of the fused frame (default: 4e-4); 0: without it")
+    made.add_argument("--repeat", type=count, default=9)
+    arguments = made.parse_args()
+    device, old = ready(arguments, "compare")
+    rows = []
+    for name in arguments.subject or SUBJECTS:
+        found = SUBJECTS[name](device, arguments.size, arguments.tolerance).rows(arguments.repeat)
+        show(found)
+        rows += found
+    finish(arguments, "compare", device, rows, old, size=arguments.size, tolerance=arguments.tolerance or None,
+           repeat=arguments.repeat)
+
+
+if __name__ == "__main__":
+    start(main)

@@ -1,0 +1,187 @@
+"""Loops of frames, and how they are timed; `one` is the loop that scaling.py and threads.py run in their processes."""
+
+import os
+import resource
+import sys
+import time
+import weakref
+from dataclasses import replace
+
+import numpy as np
+from results import quartiles
+
+from gpusim.backends import open_device
+from gpusim.data.cameras import open_camera
+from gpusim.data.charts import chart
+from gpusim.domain.content import Cube
+from gpusim.domain.errors import DoesNotFit
+from gpusim.domain.memory import require_memory
+from gpusim.simulator import Simulator
+
+LOOPS = 5  # of each kind, whose median and spread are shown
+WARM = 6  # frames before the clock runs
+SECONDS = 0.01  # exposure time
+LONGEST = 2.0  # [s] of a loop
+BLOCK = 64  # rows of a cube that are made at once
+
+
+def cube(picture) -> np.ndarray:
+    """All bands of a chart, float32 (L, rows, cols)."""
+    content = picture.content
+    values = np.empty((len(content.wavelengths), *content.shape), np.float32)
+    for row in range(0, content.shape[0], BLOCK):
+        values[:, row : row + BLOCK] = content.bands_at(slice(row, row + BLOCK))
+    return values
+
+
+class Loops:
+    """Measures loops on a device, prints and keeps their rows."""
+
+    def __init__(self, device, repeat):
+        self.device, self.repeat, self.rows = device, repeat, []
+
+    def measure(self, name, frame, check=lambda: ""):
+        """A row of `frame(k)`, which launches frame k."""
+        for k in range(WARM):
+            self.device.sync()
+            start = time.perf_counter()
+            frame(k)
+            self.device.sync()
+        count = max(5, min(self.repeat, int(LONGEST / (time.perf_counter() - start))))
+        walls = []
+        for _ in range(LOOPS):
+            self.device.sync()
+            start = time.perf_counter()
+            for k in range(count):
+                frame(k + 1)
+            self.device.sync()
+            walls.append(1e3 * (time.perf_counter() - start) / count)
+        with self.device.timed() as ms:
+            for k in range(min(count, 20)):
+                frame(k + 1)
+        self.add(name, walls, sum(ms.values()) / min(count, 20), check())
+
+    def streamed(self, name, simulator, scenes, output, nbytes, check):
+        """A row of a stream of scenes from the host; the rate is that of their samples."""
+        walls = []
+        for loop in range(LOOPS + 1):
+            frames = simulator.stream((scenes[k % 3] for k in range(self.repeat + WARM)), output, seed=1,
+                                      exposure_time=SECONDS)
+            for _ in range(WARM):
+                next(frames)
+            self.device.sync()
+            start, last = time.perf_counter(), None
+            for one in frames:
+                last = one
+            self.device.sync()
+            if loop:
+                walls.append(1e3 * (time.perf_counter() - start) / self.repeat)
+        rate = nbytes / np.median(walls) / 1e6
+        self.add(name, walls, None, f"{rate:.1f} GB/s; {check(last)}")
+
+    def add(self, name, walls, events, check):
+        """Print and keep a row."""
+        row = {"name": name, **quartiles(walls), "events_ms": events, "check": check}
+        clock = " " * 16 if events is None else f"{events:9.3f} {row['ms_p50'] / events:6.2f}"
+        print(f"{name:34s} {row['ms_p50']:9.3f} {clock} {row['ms_p25']:9.3f} {row['ms_p75']:9.3f}  {check}", flush=True)
+        self.rows.append(row)
+
+
+class Peak:
+    """The most memory [byte] that a device's arrays took at one time since this was made; None where nothing tells.
+
+    Counted where the OpenCL device asks its driver for memory, and when that is let go; of CUDA by Warp's memory pool.
+    """
+
+    def __init__(self, device):
+        self.device, self.now, self.most = device, 0, 0
+        if device.kind == "opencl":
+            self._allocate, device._allocate = device._allocate, self._counted
+        elif device.is_gpu:
+            self.before = device._wp.get_mempool_used_mem_current(device.wp_device)
+
+    def _counted(self, nbytes):
+        buffer, host = self._allocate(nbytes)
+        if host is None:  # pyopencl's own class knows no weak references
+            cl = self.device._cl
+            buffer = type("Buffer", (cl.Buffer,), {})(self.device.context, cl.mem_flags.READ_WRITE, nbytes)
+        self.now += nbytes
+        self.most = max(self.most, self.now)
+        weakref.finalize(buffer if host is None else host, self._returned, nbytes).atexit = False
+        return buffer, host
+
+    def _returned(self, nbytes):
+        self.now -= nbytes
+
+    @property
+    def bytes(self) -> int | None:
+        """The peak so far."""
+        if self.device.kind == "opencl":
+            return self.most
+        if self.device.is_gpu:
+            return self.device._wp.get_mempool_used_mem_high(self.device.wp_device) - self.before
+        return None
+
+
+def one(device: str, size, bands: int, tolerance: float | None, camera: str, repeat: int, content: str = "cube",
+        threads: int | None = None) -> dict:
+    """Row of a loop in which every frame is of another resident scene, to raw: times, planning, memory.
+
+    threads: cores that this process keeps to. bytes_predicted: the plan's. bytes_peak: of the device's arrays beside
+    one of the two scenes [byte]; rss: the most memory of the whole process, both scenes included. busy: processor time
+    over wall time of the loops. Raises DoesNotFit before anything is allocated, and what Simulator does.
+    """
+    if threads and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
+    device = open_device(device)
+    _require_room(device, size, bands, content)
+    picture = chart("deadleaves", size=size, wavelengths=np.linspace(400, 700, bands))
+    scenes = [resident_scene(device, scene) for scene in _two(picture, content)]
+    each = scenes[0].content.nbytes
+    peak = Peak(device)
+    program = Simulator(open_camera(camera), device=device, tolerance=tolerance).program(scenes[0], SECONDS)
+    begun = time.perf_counter()
+    program.raw(seed=1)
+    device.sync()
+    first = 1e3 * (time.perf_counter() - begun)
+    loops, begun, used = Loops(device, repeat), time.perf_counter(), time.process_time()
+    loops.measure(f"{size[0]}x{size[1]}, {bands} bands",
+                  lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, frame=k))
+    busy = (time.process_time() - used) / (time.perf_counter() - begun)
+    most, plan = peak.bytes, program.plan
+    begun = time.perf_counter()
+    Simulator(open_camera(camera), device=device, tolerance=tolerance).plan(scenes[0])
+    planning = 1e3 * (time.perf_counter() - begun)
+    return {**loops.rows[0], "megapixels": size[0] * size[1] / 1e6, "bands": bands, "first_ms": first,
+            "planning_ms": planning, "bytes_predicted": plan.bytes_needed,
+            "bytes_peak": None if most is None else most + each, "rss": _rss(), "busy": busy,
+            "planes": None if plan.mix is None else plan.mix.shape[1]}
+
+
+def resident_scene(device, scene):
+    """The scene with its samples on the device."""
+    return replace(scene, content=scene.content.with_samples(
+        lambda array: device.array(array, np.uint16 if array.dtype.kind in "iu" else np.float32)))
+
+
+def _two(picture, content):
+    """The chart, and the same a little brighter."""
+    values = cube(picture) if content == "cube" else None
+    for gain in np.float32((1, 1.01)):
+        yield replace(picture, content=Cube(picture.wavelengths, values * gain) if content == "cube" else
+                      replace(picture.content, shading=gain * picture.content.shading))
+
+
+def _require_room(device, size, bands, content):
+    """Raise DoesNotFit where two scenes and the values they are made of do not, or one is too much for a buffer."""
+    each = size[0] * size[1] * (4 * bands if content == "cube" else 6)
+    what = f"a scene of {size[0]}x{size[1]}, {bands} bands,"
+    require_memory(f"three times {what}", 3 * each)
+    most = device.cl_device.max_mem_alloc_size if device.kind == "opencl" else each
+    if each > most:
+        raise DoesNotFit(what, each, most, f"one buffer of {device.name}")
+
+
+def _rss():
+    """Most memory that this process had at one time [byte]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -1,0 +1,312 @@
+"""How every script here writes, reads and compares its results, and what its command line has.
+
+A result is a dict, stored as JSON: what was measured ("bench", one of the names in bench/tables.py), where and when
+("device", "machine", "commit", "dirty", "date"), the settings, and "rows". A row has a "name", times in milliseconds as
+"ms_p25", "ms_p50", "ms_p75" or "ms_least", "ms_p50", "ms_most", and what else was found.
+"""
+
+import argparse
+import contextlib
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.backends import open_device
+from gpusim.backends.probe import identity
+from gpusim.cli import OneLineParser, size
+from gpusim.data.charts import checked_size
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
+from gpusim.io.atomic import atomic_path, check_output
+
+HERE = Path(__file__).parent
+PACKAGES = ("numpy", "scipy", "pyopencl", "warp-lang", "pocl-binary-distribution")
+FOUND = {"rows", "columns", "limits", "machine", "commit", "dirty", "date", "device"}  # all else is settings
+PLACE = ("cpu", "cores", "device", "driver")  # of a machine: what makes times differ
+
+
+def parser(doc: str, device: str = "auto") -> argparse.ArgumentParser:
+    """A command line with what all scripts have."""
+    made = OneLineParser(description=doc.splitlines()[0])
+    made.add_argument("--device", default=device, help=f"as for gpusim simulate (default: {device})")
+    made.add_argument("--json", metavar="FILE", help="write the result")
+    made.add_argument("--against", metavar="OLD.json", help="compare with a stored result of the same script")
+    made.add_argument("--commit", help="where there is no checkout to ask")
+    return made
+
+
+def add_size(made, default="1920x1080"):
+    """The option `--size`."""
+    made.add_argument("--size", type=size, default=size(default), metavar="COLSxROWS", help=f"default: {default}")
+
+
+def count(text: str) -> int:
+    """A whole number of repetitions, from 1 on, of the command line."""
+    value = int(text) if text.isascii() and text.isdecimal() and len(text) < 7 else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, 1 .. 999999")
+    return value
+
+
+def ready(arguments, bench: str):
+    """What can be refused is refused before anything is timed; returns the device and the old result, if any.
+
+    Raises BadFile, DeviceError, OutOfRange, DoesNotFit.
+    """
+    if getattr(arguments, "size", None) is not None:
+        checked_size(arguments.size)
+    check_output(arguments.json)
+    old = None
+    if arguments.against is not None:
+        old = load(arguments.against)
+        if old["bench"] != bench:
+            raise BadFile(arguments.against, f"is a result of {old['bench']!r}; wanted one of {bench!r}")
+    return open_device(arguments.device), old
+
+
+def finish(arguments, bench: str, device, rows: list[dict], old: dict | None = None, **settings) -> dict:
+    """Write the result where asked, compare it with the old one where asked; returns it."""
+    result = json.loads(json.dumps({"bench": bench, **about(device, arguments.commit), **settings, "rows": rows}))
+    if arguments.json is not None:
+        save(result, arguments.json)
+    if old is not None:
+        print(against(old, result))
+    return result
+
+
+def start(main):
+    """Run a script's `main()`; what a user did wrong is one line and exit status 2."""
+    try:
+        status = main()
+    except GpusimError as error:
+        print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
+        status = 2
+    except (MemoryError, KeyboardInterrupt) as error:
+        print(f"{Path(sys.argv[0]).name}: {'out of memory' if isinstance(error, MemoryError) else 'interrupted'}",
+              file=sys.stderr)
+        status = 2
+    sys.exit(status)
+
+
+def about(device, commit: str | None = None) -> dict:
+    """Device, machine, commit and date of a result."""
+    found, dirty = (commit, None) if commit else _checkout()
+    return {"device": device.name, "machine": machine(device), "commit": found, "dirty": dirty,
+            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")}
+
+
+def machine(device) -> dict:
+    """Processor, number of its cores, what the device runs on, and the versions that matter."""
+    cpu = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        cpu = next((line.partition(":")[2].strip() for line in Path("/proc/cpuinfo").read_text().splitlines()
+                    if line.startswith("model name")), cpu)
+    told = identity(device)
+    versions = {}
+    for name in PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return {"cpu": cpu, "cores": cores(), "device": told["device"], "driver": told["driver"],
+            "python": platform.python_version(), **versions}
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _checkout():
+    """What is checked out here, and whether files differ from it; nothing where git cannot say."""
+    try:
+        said = [subprocess.run(["git", *command], cwd=HERE, capture_output=True, text=True, check=True).stdout.strip()
+                for command in (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--untracked-files=no"))]
+    except (OSError, subprocess.CalledProcessError):
+        return None, None
+    return said[0], bool(said[1])
+
+
+def save(result: dict, path):
+    """Write a result. Raises BadFile."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+
+
+def load(path) -> dict:
+    """A stored result. Raises BadFile for what is missing, no JSON, or no result."""
+    try:
+        result = json.loads(Path(path).read_text())
+    except OSError as error:
+        raise BadFile(path, f"cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise BadFile(path, f"is no JSON: {error}") from error
+    is_one = (isinstance(result, dict) and {"bench", "device", "machine", "rows"} <= set(result)
+              and isinstance(result["machine"], dict) and isinstance(result["rows"], list)
+              and all(isinstance(row, dict) and "name" in row for row in result["rows"]))
+    if not is_one:
+        raise BadFile(path, "is no result of a script in bench/: wanted an object with bench, device, machine and "
+                            "rows, each with a name; --json writes one")
+    return result
+
+
+def spread(row: dict) -> tuple[float, float]:
+    """Quartiles of a row's times [ms], or the smallest and the largest where those alone were stored."""
+    return row.get("ms_p25", row.get("ms_least")), row.get("ms_p75", row.get("ms_most"))
+
+
+def quartiles(times, key: str = "ms") -> dict:
+    """Smallest, quartiles and largest of times, as a row has them."""
+    values = np.percentile(np.asarray(times, np.float64), (0, 25, 50, 75, 100))
+    return {f"{key}_{name}": float(value) for name, value in zip(("least", "p25", "p50", "p75", "most"), values,
+                                                                 strict=True)}
+
+
+def against(old: dict, new: dict) -> str:
+    """Each row's median over that of the old result, "same" where their quartiles overlap; of text what it was.
+
+    What else is not alike, machine or settings, is said in one line before.
+    """
+    lines, before = [], {_key(row): row for row in old["rows"]}
+    differing = [f"{key} {old['machine'].get(key)!r} then, {new['machine'].get(key)!r} now" for key in PLACE
+                 if old["machine"].get(key) != new["machine"].get(key)]
+    differing += [f"{key} {old[key]!r} then, {new[key]!r} now" for key in sorted(set(old) & set(new) - FOUND)
+                  if old[key] != new[key]]
+    if differing:
+        lines.append(f"warning: not measured alike: {'; '.join(differing)}")
+    lines.append(f"{'now over ' + str(old.get('commit') or 'the old'):40s} {'ratio':>7s} {'quartiles':>18s}")
+    for row in new["rows"]:
+        lines.append(f"{row['name']:40s} {_change(before.pop(_key(row), None), row)}")
+    return "\n".join([*lines, *(f"{row['name']:40s} {'-':>7s}  gone" for row in before.values())])
+
+
+def _key(row):
+    return row.get("table"), row["name"]
+
+
+def _change(was, row):
+    """From an old row, or None, to the row of the same name."""
+    if was is None:
+        return f"{'-':>7s}  new"
+    if "cells" in row and "cells" in was:
+        same = list(row["cells"]) == list(was["cells"])
+        return f"{'-':>7s}  " + ("same" if same else f"was {' | '.join(was['cells'])}, is {' | '.join(row['cells'])}")
+    if not was.get("ms_p50") or row.get("ms_p50") is None:
+        return f"{'-':>7s}  no times"
+    (was_low, was_high), (low, high) = spread(was), spread(row)
+    ratio = row["ms_p50"] / was["ms_p50"]
+    verdict = "same" if low <= was_high and was_low <= high else "slower" if ratio > 1 else "faster"
+    return f"{ratio:7.2f} {f'{low / was_high:.2f} .. {high / was_low:.2f}':>18s}  {verdict}"
+
+
+def rms(values, truth) -> float:
+    """Root mean square difference over the root mean square of the truth, in float64."""
+    truth = np.asarray(truth, np.float64)
+    return float(np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2)))
+
+
+def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
+    """Milliseconds of each form in every round, name -> array (repeat,).
+
+    forms: name -> function that does the work and waits. Rounds alternate between all of them, so that other work on
+    the machine meets each; `warm` rounds go before.
+    """
+    times: dict = {name: [] for name in forms}
+    for number in range(-warm, repeat):
+        for name, run in forms.items():
+            begin = time.perf_counter()
+            run()
+            if number >= 0:
+                times[name].append(1e3 * (time.perf_counter() - begin))
+    return {name: np.array(taken) for name, taken in times.items()}
+
+
+def peer_rows(times: dict, bases: dict, errors: dict | None = None, each: dict | None = None) -> list[dict]:
+    """Rows of forms that were timed in rounds, each with its ratio to a base within a round.
+
+    bases: name of a form -> that it is compared with: "over" is the base's time over the form's. errors: text of the
+    error of each, if known. each: frames that one call of a form makes, 1 where nothing is said.
+    """
+    each, errors = each or {}, errors or {}
+    scaled = {name: taken / each.get(name, 1) for name, taken in times.items()}
+    rows = []
+    for name, taken in scaled.items():
+        row = {"name": name, **quartiles(taken)}
+        if bases.get(name) in scaled:
+            row |= {"base": bases[name], **quartiles(scaled[bases[name]] / taken, "over")}
+        rows.append(row | {"error": errors.get(name, "")})
+    return rows
+
+
+def show(rows: list[dict]):
+    """Print rows of `peer_rows`."""
+    for row in rows:
+        if "failed" in row:
+            print(f"{row['name']:42s} {row['failed']}", flush=True)
+            continue
+        over = (f"{row['base']} over it {row['over_p50']:.2f} ({row['over_p25']:.2f} .. {row['over_p75']:.2f})"
+                if "base" in row else "")
+        print(f"{row['name']:42s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
+              f"{row['error']}", flush=True)
+
+
+def compared(arguments, bench: str, device, old, forms: dict, bases: dict, errors: dict | None = None,
+             each: dict | None = None, **settings):
+    """Time forms in turns, `--repeat` rounds, print their rows and finish: see `rounds`, `peer_rows`, `finish`."""
+    rows = peer_rows(rounds(forms, arguments.repeat, warm=2), bases, errors, each)
+    show(rows)
+    finish(arguments, bench, device, rows, old, repeat=arguments.repeat, **settings)
+
+
+def add_repeat(made, default=9):
+    """The option `--repeat`."""
+    made.add_argument("--repeat", type=count, default=default, help=f"rounds (default: {default})")
+
+
+class Tables:
+    """Results that are no times: tables of text, printed as they grow. A row's cells are those of its table's columns.
+
+    columns: title -> names of columns. rows: of the result.
+    """
+
+    def __init__(self):
+        self.columns, self.rows = {}, []
+
+    def table(self, title: str, *columns):
+        """Begin a table."""
+        self.title, self.columns[title] = title, columns
+        print(f"\n{title}: {', '.join(columns)}")
+
+    def row(self, name: str, *cells: str):
+        """A row of the table that was begun last."""
+        self.rows.append({"name": name, "table": self.title, "cells": cells})
+        print("  ", " | ".join((name, *cells)), flush=True)
+
+
+def resident(device, inputs: dict) -> dict:
+    """A stage's inputs with their arrays on the device."""
+    return {key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+            for key, value in inputs.items()}
+
+
+def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
+    """What `one(**settings)` of a module here gives, a dict, in a process of its own: {"failed": why} if it fails."""
+    command = [sys.executable, "-c", f"import {module}, json, sys; "
+               f"print(json.dumps({module}.one(**json.loads(sys.argv[1]))))", json.dumps(settings)]
+    ended = subprocess.run(command, cwd=HERE, capture_output=True, text=True,
+                           env={**os.environ, **(environment or {}), "PYTHONPATH": str(HERE)})
+    if ended.returncode == 0:
+        return json.loads(ended.stdout.splitlines()[-1])
+    last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
+    return {"failed": last.removeprefix("gpusim.domain.errors.")}
+
+
+def require_cpu(device, what: str):
+    """Raise OutOfRange unless the device is the processor by OpenCL."""
+    if not (device.kind == "opencl" and device.on_host):
+        raise OutOfRange("device", device.name, f"{what}: an OpenCL device of the CPU, such as --device opencl:0")

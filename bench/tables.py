@@ -1,0 +1,186 @@
+"""Writes every generated table and figure of bench/README.md from the results that are stored in bench/results.
+
+    python bench/tables.py
+
+Between `<!-- NAME -->` and `<!-- end of NAME -->` stand the tables of all results of the script NAME, in the order of
+their files' names. What no stored result backs is left as it is.
+"""
+
+from pathlib import Path
+
+from results import HERE, OneLineParser, load, spread, start
+
+from gpusim.domain.errors import BadFile
+from gpusim.io.atomic import atomic_path
+
+FIGURES = ("stages", "scaling")  # results that are drawn as well
+
+
+def main():
+    """Write the README and the figures."""
+    made = OneLineParser(description=__doc__.splitlines()[0])
+    made.add_argument("--readme", type=Path, default=HERE / "README.md")
+    made.add_argument("--results", type=Path, default=HERE / "results", metavar="FOLDER")
+    arguments = made.parse_args()
+    stored = stored_results(arguments.results)
+    try:
+        text = arguments.readme.read_text()
+    except (OSError, ValueError) as error:
+        raise BadFile(arguments.readme, f"cannot be read: {error}") from error
+    text = filled(text, stored, arguments.readme)
+    drawn = [path for path, result in stored.items() if result["bench"] in FIGURES]
+    if drawn:
+        from figures import draw
+
+        for path in drawn:
+            with atomic_path(path.with_suffix(".png")) as temporary:
+                draw(stored[path], temporary)
+    with atomic_path(arguments.readme) as temporary:
+        temporary.write_text(text)
+
+
+def stored_results(folder) -> dict:
+    """Path -> result of all files in a folder. Raises BadFile."""
+    if not Path(folder).is_dir():
+        raise BadFile(folder, "is no folder; wanted one with results (.json)")
+    stored = {path: load(path) for path in sorted(Path(folder).glob("*.json"))}
+    for path, result in stored.items():
+        if result["bench"] not in TABLES:
+            raise BadFile(path, f"is a result of {result['bench']!r}, of which there are no tables; known: "
+                                f"{', '.join(sorted(TABLES))}")
+    return stored
+
+
+def filled(text: str, stored: dict, readme="README.md") -> str:
+    """The text with all tables of `stored_results` between their marks. Raises BadFile where marks are missing."""
+    for name in dict.fromkeys(result["bench"] for result in stored.values()):
+        first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        if text.count(first) != 1 or text.count(last) != 1 or text.index(first) > text.index(last):
+            raise BadFile(readme, f"has no place for the tables of {name}: wanted one {first}, and behind it one "
+                                  f"{last}")
+        tables = [table(path, result) for path, result in stored.items() if result["bench"] == name]
+        before, after = text.partition(first)[0], text.partition(last)[2]
+        text = before + "\n\n".join([first, *tables, last]) + after
+    return text
+
+
+def table(path: Path, result: dict) -> str:
+    """One result in Markdown."""
+    try:
+        parts = [_head(result), *TABLES[result["bench"]](result)]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise BadFile(path, f"lacks what its table shows: {error!r}; measure it anew") from error
+    if result["bench"] in FIGURES:
+        parts.append(f"![{path.stem}]({path.parent.name}/{path.stem}.png)")
+    return "\n\n".join(parts)
+
+
+def _head(result):
+    """Where and when it was measured, by which settings."""
+    told, size = result["machine"], result.get("size")
+    shown = [f"{size[0]}x{size[1]}"] if size else []
+    shown += [f"{result['bands']} bands"] if "bands" in result else []
+    shown += [result["camera"]] if "camera" in result else []
+    shown += [f"scenes as {result['content']}"] if "content" in result else []
+    if "tolerance" in result:
+        shown.append("exact" if result["tolerance"] is None else f"tolerance {result['tolerance']:g}")
+    shown += [f"{rate:.3g} {unit}" for key, unit in (("copy_gbps", "GB/s copied"), ("fma_gflops", "GFLOP/s measured"))
+              if (rate := result.get("limits", {}).get(key))]
+    cores = f", {told['cores']} cores" if "cores" in told else ""
+    dirty = ", with changes" if result.get("dirty") else ""
+    date = f", {result['date'][:10]}" if result.get("date") else ""
+    place = ", ".join(filter(None, (told["device"], told["driver"])))
+    return (f"**{result['device']}**" + "".join(f", {text}" for text in shown) + f": {place}; host "
+            f"{told['cpu']}{cores}, Python {told['python']}; commit {result['commit']}{dirty}{date}")
+
+
+def _markdown(columns, rows):
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def _number(value, form=".3g"):
+    """A number, in full from 1000 on; nothing for None."""
+    return "" if value is None else f"{value:.0f}" if abs(value) >= 1000 else f"{value:{form}}"
+
+
+def _times(row):
+    """Median and quartiles."""
+    return _number(row["ms_p50"]), " .. ".join(map(_number, spread(row)))
+
+
+def _ratio(row, key):
+    return f"{row[f'{key}_p50']:.2f} ({row[f'{key}_p25']:.2f} .. {row[f'{key}_p75']:.2f})"
+
+
+def _stages(result):
+    columns = ("stage", "ms", "quartiles", "GB/s", "GFLOP/s", "x floor", "bound", "build ms", "rms error", "max error")
+    rows = [(row["name"], "no speed: verification failed", *[""] * 8) if "failed" in row else (
+        row["name"], *_times(row), _number(row["gbps"]), _number(row["gflops"]), _number(row["ratio_to_floor"], ".2g"),
+        row["bound"] or "", _number(row["build_ms"]), f"{row['rel_rms_error']:.1e}", f"{row['max_error']:.1e}")
+        for row in result["rows"]]
+    yield _markdown(columns, rows)
+
+
+def _loops(result):
+    columns = ("loop", "wall ms a frame", "least .. most", "events ms", "ratio", "checked")
+    rows = []
+    for row in result["rows"]:
+        events = row["events_ms"]
+        rows.append((row["name"], _number(row["ms_p50"]), f"{_number(row['ms_least'])} .. {_number(row['ms_most'])}",
+                     _number(events), "" if events is None else f"{row['ms_p50'] / events:.2f}", row["check"]))
+    yield _markdown(columns, rows)
+
+
+def _scaling(result):
+    columns = ("frame", "wall ms", "quartiles", "ms a megapixel", "over 1080p", "planes", "planning ms",
+               "MiB predicted", "MiB taken", "MiB of the process")
+    base = next((row["ms_p50"] / row["megapixels"] for row in result["rows"]
+                 if row["name"] == "1920x1080, 31 bands" and "failed" not in row), None)
+    rows = []
+    for row in result["rows"]:
+        if "failed" in row:
+            rows.append((row["name"], row["failed"], *[""] * 8))
+            continue
+        each = row["ms_p50"] / row["megapixels"]
+        rows.append((row["name"], *_times(row), _number(each), "" if base is None else f"{each / base:.2f}",
+                     row["planes"] or "", _number(row["planning_ms"]), *(
+                         "" if row[key] is None else f"{row[key] / 2**20:.0f}"
+                         for key in ("bytes_predicted", "bytes_peak", "rss"))))
+    yield _markdown(columns, rows)
+
+
+def _threads(result):
+    columns = ("threads", "wall ms", "quartiles", "speed-up", "efficiency", "cores busy")
+    rows, base = [], None
+    for row in result["rows"]:
+        if "failed" in row:
+            rows.append((row["name"], row["failed"], *[""] * 4))
+            continue
+        base = row["ms_p50"] if row["threads"] == 1 else base
+        gain = None if base is None else base / row["ms_p50"]
+        rows.append((row["name"], *_times(row), *(("", "") if gain is None else (
+            f"{gain:.2f}", f"{gain / row['threads']:.2f}")), f"{row['busy']:.2f}"))
+    yield _markdown(columns, rows)
+
+
+def _peers(result):
+    columns = ("what", "ms", "quartiles", "compared with", "its time over this", "error")
+    rows = [(row["name"], row["failed"], *[""] * 4) if "failed" in row else (
+        row["name"], *_times(row), *((row["base"], _ratio(row, "over")) if "base" in row else ("", "")), row["error"])
+        for row in result["rows"]]
+    yield _markdown(columns, rows)
+
+
+def _cells(result):
+    for title, columns in result["columns"].items():
+        yield title + ":"
+        yield _markdown(columns, [(row["name"], *row["cells"]) for row in result["rows"] if row["table"] == title])
+
+
+TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
+          "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
+          "picture": _peers, "demosaic": _cells, "color": _cells, "figure8": _cells, "figure14": _cells}
+
+if __name__ == "__main__":
+    start(main)
