@@ -196,7 +196,7 @@ class OpenCLDevice(Taped):
             entry = spare.pop()  # making one takes 0.2 ms
         except IndexError:
             with self._lock:
-                entry = self._created(stage, kernel, defines)
+                entry = self._cl.Kernel(self._program(stage, defines), kernel)
         pieces = self._pieces(tuple(grid), group)
         return Command(self, self._clock.charged or stage, kernel, entry, pieces, args, spare)
 
@@ -225,31 +225,25 @@ class OpenCLDevice(Taped):
     def _kernel(self, stage, kernel, defines, args):
         key = (stage, kernel, *sorted(defines.items()))
         if key not in self._kernels:
+            program = self._program(stage, defines)
             kinds = [np.int32 if isinstance(arg, int | np.integer) else
                      np.float32 if isinstance(arg, float | np.floating) else None for arg in args]
             try:
-                self._kernels[key] = self._typed(stage, kernel, defines, kinds)
+                self._kernels[key] = self._typed(program, kernel, kinds)
             except sqlite3.Error:  # pyopencl's cache of how arguments are set is corrupt: it saves less than 1 ms
                 self._cl._PYOPENCL_NO_CACHE = True
-                self._kernels[key] = self._typed(stage, kernel, defines, kinds)
+                self._kernels[key] = self._typed(program, kernel, kinds)
         return self._kernels[key]
 
-    def _typed(self, stage, kernel, defines, kinds):
+    def _typed(self, program, kernel, kinds):
         """Typed once, a launch costs microseconds instead of hundreds of them."""
-        entry = self._created(stage, kernel, defines)
+        entry = self._cl.Kernel(program, kernel)
         entry.set_scalar_arg_dtypes(kinds)
         return entry
 
-    def _created(self, stage, kernel, defines):
-        try:
-            return self._cl.Kernel(self._program(stage, defines), kernel)
-        except self._cl.LogicError:  # another process wrote to PoCL's cache, or took from it, while it was read
-            return self._cl.Kernel(self._program(stage, defines, anew=True), kernel)
-
-    def _program(self, stage, defines, anew=False):
-        """anew: build it whatever is there, and with a text that no cache knows."""
+    def _program(self, stage, defines):
         key = (stage, *sorted(defines.items()))
-        if anew or key not in self._programs:
+        if key not in self._programs:
             source, include = stage_source(stage)
             # constants go into the text: PoCL's build cache has confused programs that differ in -D alone
             guard = "if (outside) return;" if self.is_gpu else ""
@@ -257,8 +251,6 @@ class OpenCLDevice(Taped):
             if self.processor:  # PoCL's cache does not know that it builds for another one
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
-            if anew:
-                head += f"// {time.time_ns()}\n"
             start = time.perf_counter()
             try:
                 program = self._cl.Program(self.context, head + source)

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from devices import DEVICES, KINDS
+from devices import KINDS
 
 from gpusim.backends import probe
-from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
 from gpusim.kernels.sensor.pattern import pattern
@@ -170,25 +169,6 @@ def test_corrupt_kernels_are_built_anew(device, how, tmp_path):
     for _ in range(2):
         found = run(COPY, device, **folders)
         assert found.returncode == 0, found.stderr
-
-
-@pytest.mark.parametrize("name", [name for name in DEVICES if name.startswith("opencl")])
-def test_a_program_without_its_kernels_is_built_anew(name):
-    """As PoCL gives it while another process writes to its cache, or takes from it."""
-    shared = open_device(name)
-    device = OpenCLDevice(shared.cl_device, shared.name)
-    values = np.arange(300, dtype=np.float32)
-
-    def copied():
-        target = device.empty((300,))
-        device.launch("common.copy", "copy", (300,), device.array(values), target, 300)
-        return device.numpy(target)
-
-    np.testing.assert_array_equal(copied(), values)
-    other = device._cl.Program(device.context, "kernel void other(global float *a) { a[0] = 0; }").build()
-    device._programs = dict.fromkeys(device._programs, other)
-    device._kernels.clear()
-    np.testing.assert_array_equal(copied(), values)
 
 
 @pytest.mark.parametrize("device", KINDS)
