@@ -53,11 +53,11 @@ def _renamed(structure, wrong, name):
     except OSError:
         return False
     try:
-        found = [(place, text) for place in range(structure, structure + SEARCHED, 8)
-                 if (text := _text(memory, _read(memory, place, 8))) in (wrong, name)]
-        if len(found) != 1:
+        # the first: behind the structure lies what else the process keeps, names of processors too
+        place, text = next(((place, text) for place in range(structure, structure + SEARCHED, 8)
+                            if (text := _text(memory, _read(memory, place, 8))) in (wrong, name)), (None, None))
+        if place is None:
             return False
-        place, text = found[0]
         if text == wrong:
             copy = ctypes.CDLL(None).strdup  # PoCL may free it, as it would its own
             copy.restype = ctypes.c_void_p

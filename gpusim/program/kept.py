@@ -55,7 +55,7 @@ class Kept:
         change = OTHER if found is None else compared(found[0], key)
         if found is not None and change == SAME:
             return found[1]
-        tape = None if found is None or self._device is None else found[2] or Tape()
+        tape = None if self._device is None else Tape() if found is None else found[2]
         try:
             if found is not None and found[2] and found[2].is_replayable and (change == REFILLED or (
                     adjust is not None and compared(found[0][:-1], key[:-1]) != OTHER)):

@@ -98,9 +98,9 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
              "BORDER": BORDERS[border], "REGISTERS": fft.REGISTERS}
     pitch, groups = cols + cols % 2, -(-cols // (2 * columns_forward))
     folded = device.empty((cfa.size, small[0] // 2 + 1, small[1], 2))
+    halves = device.empty((min(BATCH, count), stored, pitch, 2))
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
-        halves = device.empty((size, stored, pitch, 2))
         group = fft.threads(device, period[0], columns_forward)
         device.launch(LINES, "columns_forward", (size * groups * group,), planes, roots_y, halves,
                       first, before[0], rows, cols, pitch, groups, group=(group,),

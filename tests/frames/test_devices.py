@@ -1,5 +1,6 @@
 """Finding devices: what is kept of them, what their drivers keep, and what is said where they do not work."""
 
+import ctypes
 import importlib.util
 import json
 import os
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from devices import KINDS
 
-from gpusim.backends import probe
+from gpusim.backends import pocl, probe
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
 from gpusim.kernels.sensor.pattern import pattern
@@ -224,6 +225,19 @@ def test_pocl_builds_for_an_unknown_processor(unknown_processor):
                                                                                      "sandybridge", "x86-64")
     found = run(COPY, "opencl:0", **unknown_processor)
     assert found.returncode == 0, found.stderr
+
+
+def test_a_processors_name_is_set_in_its_own_place_alone():
+    """What lies behind PoCL's structure may name the processor, too: it is another's."""
+    names = [ctypes.create_string_buffer(text) for text in (b"other", b"znver3", b"znver3", b"skylake-avx512")]
+    memory = (ctypes.c_void_p * 256)()
+    for place, name in zip((3, 80, 140, 150), names, strict=True):
+        memory[place] = ctypes.addressof(name)
+    for _ in range(2):  # the second time it is there
+        assert pocl._renamed(ctypes.addressof(memory), b"znver3", b"skylake-avx512")
+        assert [ctypes.string_at(memory[place]) for place in (3, 80, 140, 150)] == [
+            b"other", b"skylake-avx512", b"znver3", b"skylake-avx512"]
+    assert not pocl._renamed(ctypes.addressof((ctypes.c_void_p * 256)()), b"znver3", b"skylake-avx512")
 
 
 @pytest.mark.parametrize("environment", ["unknown_processor", "mistaken_processor", ""])
