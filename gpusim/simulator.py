@@ -162,7 +162,7 @@ class Simulator:
     def bracket(self, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
         """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
 
-        The mean electrons are computed once. Raises as `frames` does. `gpusim.multiframe.merge_bracket` makes one
+        The mean electrons are computed once. Raises as `frames` does. `gpusim.captures.merge.merge_bracket` makes one
         picture of high dynamic range of them.
         """
         factors = bracket_times(1.0, stops)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim import multiframe
+from gpusim.captures import merge as merging
+from gpusim.captures.merge import _display_noise, merge_bracket, merge_burst, merge_flash
 from gpusim.data.lights import illuminant
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
@@ -15,7 +16,6 @@ from gpusim.kernels.processor.align import TILE, align
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
-from gpusim.multiframe import _display_noise, merge_bracket, merge_burst, merge_flash
 from gpusim.simulator import Simulator
 
 PHONE = gs.open_camera("phone")
@@ -455,7 +455,7 @@ def test_burst_of_the_dark_is_dark():
 def test_burst_knows_all_noise(monkeypatch):
     """Rows, columns and offsets are not at rest when a frame is moved."""
     told = {}
-    monkeypatch.setattr(multiframe, "average", lambda *args, **known: told.update(known) or average(*args, **known))
+    monkeypatch.setattr(merging, "average", lambda *args, **known: told.update(known) or average(*args, **known))
     simulate = processed({"exposure_time": 1e-4}, {"row": 6.0, "column": 8.0, "dsnu": 10.0})
     frames = list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT))
     merge_burst(simulate, frames)

@@ -36,9 +36,8 @@ ALLOWED = {
                          "gpusim.program", "gpusim.readout", "gpusim.report", "gpusim.truth"},
     "gpusim.l3": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.backends", "gpusim.developer", "gpusim.kernels",
                   "gpusim.measure", "gpusim.planner", "gpusim.program", "gpusim.simulator", "gpusim.frame"},
-    "gpusim.multiframe": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
-                          "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
-    "gpusim.focus": {"gpusim.domain", "gpusim.frame", "gpusim.simulator"},
+    "gpusim.captures": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
+                        "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
     "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
 }
 
