@@ -1,4 +1,4 @@
-"""A camera on a device: the way from a scene to frames."""
+"""A camera on a device: the way from a scene to frames. Brackets, bursts and the like are in `gpusim.captures`."""
 
 from collections.abc import Iterable, Iterator
 from copy import copy
