@@ -8,6 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device, open_device
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
+from gpusim.domain.exposure import checked_time
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.kernels.processor.interpolate import least_frame
 from gpusim.kernels.sensor.bin import bin as bin_pixels
@@ -147,6 +148,21 @@ class Readout:
         redraw(tape, seed, frame, out=raw)
         tape.replay()
         return self.device.reshape(raw, shape)
+
+    def draw_electrons(self, mean, exposure_time: float, *, gain: float = 1.0, seed: int = 0, frame: int = 0,
+                       frames: int | None = None) -> np.ndarray:
+        """Raw values around your own mean electrons of `exposure_time` [s], NumPy; else as `draw`.
+
+        mean: of every pixel, not binned, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-]. Raises
+        OutOfRange for electrons that are not finite or negative, BadData.
+        """
+        checked_time(exposure_time)
+        mean = checked_electrons(mean, len(self.sensor.channels) if self.sensor.stacked else None)
+        self.output_shape(mean.shape[-2:])
+        chip_mean = self.chip_mean(self.device.array(mean), exposure_time)
+        raw = np.array(self.device.numpy(self.draw(chip_mean, exposure_time, gain=gain, seed=seed, frame=frame,
+                                                   frames=frames)))
+        return raw.reshape(*raw.shape[:-2], *mean.shape[:-2], -1, raw.shape[-1])
 
     def numbers(self, exposure_time: float, gain: float) -> dict[str, float]:
         """What `draw` tells the stage `sensor.noise` that depends on exposure time [s] and analog gain."""

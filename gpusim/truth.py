@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
+from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lens import open_lens, spread_radius, wavelength_nodes
 from gpusim.planner.border import at_samples, rule_of, tail_of, unseen
+from gpusim.report import Error
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
 RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least
@@ -25,6 +27,27 @@ CELLS = 32  # of the coarse grid along the reach
 PROBES = 16  # pixels
 SIZE = 61  # of the kernels' differences from that on the axis [pixel]
 PLACES = 5  # along each axis of a kernel's reach: kernels are polynomials of degree 4 in their place
+
+
+def require_truth(camera, scene):
+    """Raise OutOfRange for a camera and a scene of which the truth is not known."""
+    if camera.optics.varies and scene.samples_per_pixel != 1:
+        raise OutOfRange("verify", f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the "
+                         "field", "1 sample per pixel")
+    if camera.optics.varies and camera.sensor.stacked:
+        raise OutOfRange("verify", "stacked pixels with a blur that varies over the field", "a mosaic")
+
+
+def true_error(simulator, scene, exposure) -> Error:
+    """Error of an exposure's mean electrons; simulator: by which it was made. Raises DoesNotFit."""
+    mean = np.array(simulator.device.numpy(exposure.mean), np.float32)
+    of = type(simulator), simulator.camera, scene, exposure.plan, exposure.exposure_time
+    if exposure.plan.varying is None:
+        truth = true_mean(*of)
+    else:
+        pixels = probe_pixels(scene.shape)
+        truth, mean = at_pixels(*of, pixels), mean[pixels[:, 0], pixels[:, 1]]
+    return Error.between(mean, truth, simulator.camera.sensor.read_sigma)
 
 
 def probe_pixels(shape) -> np.ndarray:

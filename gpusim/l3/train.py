@@ -125,7 +125,8 @@ def simulated_pairs(camera: Camera, scenes, strengths, letters, matrix, *, seed:
         for step, strength in enumerate(strengths[number]):
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
-            raw = simulator.draw_electrons(electrons[part] * brighter, time, seed=seed, frame=number * steps + step)
+            raw = simulator.readout.draw_electrons(electrons[part] * brighter, time, seed=seed,
+                                                   frame=number * steps + step)
             white = brighter * best * time * sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
             yield Pair(raw, wanted[:, *part] * white, white)
 

@@ -25,7 +25,7 @@ class MergeInputs:
 
 
 def merge_inputs(frames, averaged: int = 1) -> MergeInputs:
-    """Rates, variances and valid values of frames of one scene, such as `Simulator.bracket` takes.
+    """Rates, variances and valid values of frames of one scene, such as `gpusim.bracket` takes.
 
     With the gain g [DN/e-], the electrons of dark current d and the exposure time t of a frame
 

@@ -8,6 +8,7 @@ from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.program.kept import Kept, same
 from gpusim.program.outputs import OUTPUTS
+from gpusim.program.planning import planned_by
 from gpusim.program.program import Before, Program
 
 
@@ -79,11 +80,11 @@ class Batch:
         program = self._items[item]
         if program is not None and program.simulator.camera is camera:
             return program
-        by = self._simulator.update(camera).planned_by
-        if program is not None and same(program.simulator.planned_by, by):
+        by = planned_by(self._simulator.update(camera))
+        if program is not None and same(planned_by(program.simulator), by):
             return program.update(camera=camera)
         in_use = [other for other in self._items if other is not None and other is not program]
-        alike = next((other for other in in_use if same(other.simulator.planned_by, by)), None)
+        alike = next((other for other in in_use if same(planned_by(other.simulator), by)), None)
         simulator = self._simulator.apart(camera, Kept() if alike is None and in_use else (
             alike.simulator if alike else self._simulator).tables)
         program = self._items[item] = Program(simulator, scene, before=Before(simulator.device) if alike is None else

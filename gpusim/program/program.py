@@ -20,7 +20,9 @@ from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering, without_tone
 from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
+from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
+from gpusim.program.planning import planned_by
 from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
@@ -115,7 +117,7 @@ class Program:
         It is made anew for another kind of scene, and for a camera that asks for it. Other scenes of the same kind are
         framed by the plan that is there: see `Plan.serves`.
         """
-        by, scene, before = self.simulator.planned_by, self.scene, self.before
+        by, scene, before = planned_by(self.simulator), self.scene, self.before
         if before.plan is None or not same(before.plan[1], by) or not (
                 before.plan[0].scene is scene or before.plan[0].serves(scene)):
             facts = before.kept("facts", One(scene), self._facts)
@@ -240,8 +242,8 @@ class Program:
             return float(seconds), float(self._gain)
         if self.meters_late and self._metered:
             return self._metered
-        light, key = per_second(), (*of, simulator.metered_by)
-        found = self.kept("metered", key, lambda: simulator.metered(light))
+        light, key = per_second(), (*of, metered_by(simulator))
+        found = self.kept("metered", key, lambda: metered(simulator, light))
         self._metered = found
         return found
 
@@ -253,7 +255,7 @@ class Program:
             return
         self.before.looked = looked
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
-        light = kept("light", (kept.one(mean), automatic), lambda: simulator.light(mean))
+        light = kept("light", (kept.one(mean), automatic), lambda: light_of(simulator, mean))
         if plan.watch is not None and plan.scene is not self.scene:
             first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
             found = device.fetch(self.before.kept("survey", (made.samples, One(plan)), lambda: survey(
@@ -272,7 +274,7 @@ class Program:
         if light[4]:
             raise BadData(f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
-            self._metered = self.simulator.chosen(light, look.shape, look.seconds)
+            self._metered = chosen(self.simulator, light, look.shape, look.seconds)
         if look.plan.scene is not look.scene:
             self._drift = look.plan.drift(None if look.survey is None else look.survey())
             if not look.plan.fits(light, self._drift):

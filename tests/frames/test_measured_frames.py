@@ -71,7 +71,7 @@ def test_snr_of_photons(light):
     camera = open_camera("mono")
     sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(prnu=0.05), full_well=10000.0)
     simulate = Simulator(replace(camera, sensor=sensor))
-    first, second = (simulate.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(np.float64)
+    first, second = (simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(np.float64)
                      for number in (0, 1))
     first, second = ((raw - sensor.dark_level) / sensor.gain_dn_per_electron for raw in (first, second))
     known = 10 * np.log10(light)

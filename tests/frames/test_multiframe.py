@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim import multiframe
+from gpusim.captures import merge as merging
+from gpusim.captures.merge import _display_noise, merge_bracket, merge_burst, merge_flash
 from gpusim.data.lights import illuminant
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
@@ -15,7 +16,6 @@ from gpusim.kernels.processor.align import TILE, align
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
-from gpusim.multiframe import _display_noise, merge_bracket, merge_burst, merge_flash
 from gpusim.simulator import Simulator
 
 PHONE = gs.open_camera("phone")
@@ -65,7 +65,7 @@ def patches():
     white = simulate.expose(grey(np.ones((8, 8))))
     time = white.exposure_time / simulate.camera.sensor.auto_exposure.level
     simulate = Simulator(camera(exposure_time=time), device="opencl:0")
-    merged = [merge_bracket(simulate, simulate.bracket(scene, STOPS, seed=seed)) for seed in range(SEEDS)]
+    merged = [merge_bracket(simulate, gs.bracket(simulate, scene, STOPS, seed=seed)) for seed in range(SEEDS)]
     truth = numbers(simulate.expose(scene), simulate) / time
 
     def apart(plane):  # the inner part of each patch, green pixels of the red rows: one colour, one noise
@@ -129,7 +129,7 @@ def test_bracket_is_as_precise_as_its_frames_allow():
 def test_bracket_extends_the_dynamic_range_by_its_ratio():
     *_, times, _, simulate = patches()
     dark = grey(np.full((160, 160), 1e-6))
-    frame = merge_bracket(simulate, simulate.bracket(dark, STOPS))
+    frame = merge_bracket(simulate, gs.bracket(simulate, dark, STOPS))
     sensor = simulate.camera.sensor
     alone = np.sqrt(1 / information(0.0, times[:1], sensor))  # noise of the shortest, which saturates at the same rate
     gained = alone / (frame.mean / frame.exposure_time).std()
@@ -144,7 +144,7 @@ def test_bracket_develops_beyond_white_and_far_below():
     simulate = Simulator(camera("normalised", exposure_time=exposed.sensor.exposure_time), device="opencl:0")
     levels = np.array([1e-3, 0.02, 0.5, 2.0, 6.0, 12.0])
     scene = grey(np.repeat(levels, 40)[None].repeat(60, 0))
-    frame = merge_bracket(simulate, simulate.bracket(scene, STOPS))
+    frame = merge_bracket(simulate, gs.bracket(simulate, scene, STOPS))
     perfect = next(Simulator(dataclasses.replace(simulate.camera, sensor=dataclasses.replace(
         simulate.camera.sensor, bits=16, full_well=1e5, gain=0.6, noise=gs.Noise(photon="none"))),
         device="opencl:0").frames(scene, 1))
@@ -164,7 +164,7 @@ def test_bracket_of_eight_stops_keeps_its_dark_parts_in_16_bits():
     time = simulator().expose(grey(np.ones((8, 8)))).exposure_time
     simulate = Simulator(camera(exposure_time=time), device="opencl:0")
     # so dark that photons are none: green would have more of them than red and blue, and all the noise not be green's
-    frame = merge_bracket(simulate, simulate.bracket(grey(np.full((96, 96), 1e-6)), (-4, 0, 4)))
+    frame = merge_bracket(simulate, gs.bracket(simulate, grey(np.full((96, 96), 1e-6)), (-4, 0, 4)))
     assert (frame.camera.sensor.full_well / 64511) ** 2 / 12 > 0.9 * frame.camera.sensor.noise.read**2
     dark = frame.linear[1, 8:-8, 8:-8]
     mosaic = frame.mean[8:-8, 8:-8].std() * frame.camera.sensor.gain_dn_per_electron / 64511
@@ -201,7 +201,7 @@ def test_merged_pictures_are_as_bright_as_one_of_their_frames(stops, middle):
     plain = dataclasses.replace(PHONE.optics, model="none", relative_illumination="none")
     simulate = Simulator(dataclasses.replace(camera(), optics=plain), device="opencl:0")
     scene = grey(np.repeat([0.1, 0.24, 1.0], 40)[None].repeat(40, 0))
-    frames = simulate.bracket(scene, stops)
+    frames = gs.bracket(simulate, scene, stops)
     merged = merge_bracket(simulate, frames)
     for column, level in ((0, 0.1), (40, 0.24), (80, 1.0)):
         cut = np.s_[:, 8:-8, column + 8 : column + 32]
@@ -218,10 +218,10 @@ def test_merged_pictures_are_as_bright_as_one_of_their_frames(stops, middle):
 def test_single_full_pixels_are_left_out():
     """A full well is read 5 e- below or above itself: of values at exactly the well, half would pass for not full."""
     simulate = Simulator(camera(full_well=3000.0, gain=0.1, exposure_time=0.01), device="opencl:0")
-    short, long = simulate.bracket(grey(np.full((64, 64), 1e-6)), (-4, 0))
+    short, long = gs.bracket(simulate, grey(np.full((64, 64), 1e-6)), (-4, 0))
     electrons = np.zeros((64, 64), np.float32)
     electrons[4::8, 4::8] = 12000
-    short, long = (dataclasses.replace(frame, raw=simulate.draw_electrons(
+    short, long = (dataclasses.replace(frame, raw=simulate.readout.draw_electrons(
         electrons * frame.exposure_time / 0.01, frame.exposure_time, frame=k)) for k, frame in enumerate((short, long)))
     found = merge_bracket(simulate, [short, long]).mean[4::8, 4::8]
     # the short frame's 750 e- have a noise of sqrt(750 + 25 + 8) = 28, 3.7 %: 64 times beyond 5 of it in 4e-5 of runs
@@ -245,7 +245,7 @@ def stages(frame):
 def test_merged_pictures_are_neutral_where_all_is_full():
     simulate = processed({"exposure_time": simulator().expose(grey(np.ones((8, 8)))).exposure_time})
     scene = grey(np.where(np.arange(64) < 32, 0.2, 100.0)[None].repeat(64, 0))
-    for frame in (merge_bracket(simulate, simulate.bracket(scene, (-2, 0))),
+    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
                   merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
         light = frame.linear[:, 8:-8, 44:-8].mean(axis=(1, 2))
         # reads below a full well, 5 of 6000 e-, through a matrix of rows up to 3: 0.3 %; unclipped, red is twice blue
@@ -257,8 +257,8 @@ def test_merged_pictures_have_no_lens_shading():
     scene = grey(np.full((160, 40), 0.12))
     time = simulator().expose(grey(np.ones((8, 8)))).exposure_time
     simulate = processed({"vignetting": tuple((a,) * 5 for a in edge), "exposure_time": time}, shading=True)
-    for frame in (merge_bracket(simulate, simulate.bracket(scene, (-4, 0, 4))),
-                  merge_bracket(simulate, simulate.bracket(scene, (-1, 0))),
+    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-4, 0, 4))),
+                  merge_bracket(simulate, gs.bracket(simulate, scene, (-1, 0))),
                   merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
         rows = frame.linear.mean(axis=(0, 2))
         # 20 x 40 pixels of at most 5 % noise: 0.2 %, correlated 0.4 %; the gains follow the map at nodes to 1 %
@@ -271,14 +271,14 @@ def test_merged_pictures_have_no_dead_pixels_and_say_how():
                          {"dead_pixels": 0.002, "seed": 3}, defects="known")
     scene = grey(np.full((96, 96), 0.5))
     assert simulate.readout.defects((96, 96)).sum() > 5
-    for frame in (merge_bracket(simulate, simulate.bracket(scene, (-2, 0))),
+    for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
                   merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
         middle = np.stack([frame.mean[y::2, x::2] / np.median(frame.mean[y::2, x::2]) for y in (0, 1) for x in (0, 1)])
         assert middle.min() > 0.7  # the noise of some 500 e- is 5 %
         assert stages(frame)["processor.defects"] == "the chip's known defects replaced, frame by frame"
         assert "processor.merge" in stages(frame) or "processor.average" in stages(frame)
     other = processed({"exposure_time": 0.01}, {"dead_pixels": 0.002, "seed": 4}, defects="known")  # not of this chip
-    told = stages(merge_bracket(other, simulate.bracket(scene, (-2, 0))))["processor.defects"]
+    told = stages(merge_bracket(other, gs.bracket(simulate, scene, (-2, 0))))["processor.defects"]
     assert told == "pixels 6 sigma beyond their neighbours replaced, frame by frame"
 
 
@@ -289,7 +289,7 @@ def test_bracket_has_no_seam_where_frames_take_over():
     total, simulate = 0, Simulator(camera(exposure_time=time), device="opencl:0")
     truth = numbers(simulate.expose(scene), simulate) / time
     for seed in range(4):
-        frame = merge_bracket(simulate, simulate.bracket(scene, (-4, -2, 0), seed=seed))
+        frame = merge_bracket(simulate, gs.bracket(simulate, scene, (-4, -2, 0), seed=seed))
         total = total + frame.mean / frame.exposure_time / truth - 1
     green = total[::2, 1::2] / 4
     z = green.mean(axis=0) / (green.std(axis=0) / np.sqrt(len(green)))
@@ -310,7 +310,7 @@ def test_bracket_of_any_mosaic(cfa):
         made = camera(cfa=cfa)
     simulate = Simulator(made, device="opencl:0")
     scene = grey(np.full((48, 48), 0.2))
-    frame = merge_bracket(simulate, simulate.bracket(scene, (-3, 0, 1)))
+    frame = merge_bracket(simulate, gs.bracket(simulate, scene, (-3, 0, 1)))
     truth = numbers(simulate.expose(scene), simulate) / simulate.expose(scene).exposure_time
     error = frame.mean / frame.exposure_time / truth - 1
     assert frame.mean.shape == truth.shape
@@ -360,7 +360,7 @@ def burst(kind, level):
     """Shifts [pixel] and frames of one exposure time, in parts of that of automatic exposure."""
     shifts, full = exposures(kind)
     simulate = simulator()
-    shorter = [simulate.lengthened(exposure, level * exposure.exposure_time) for exposure in full]
+    shorter = [gs.lengthened(simulate, exposure, level * exposure.exposure_time) for exposure in full]
     if kind == "still":
         return shifts, list(simulate.shoot(shorter[0], COUNT, seed=7))
     return shifts, [next(simulate.shoot(exposure, seed=7, first=number)) for number, exposure in enumerate(shorter)]
@@ -455,7 +455,7 @@ def test_burst_of_the_dark_is_dark():
 def test_burst_knows_all_noise(monkeypatch):
     """Rows, columns and offsets are not at rest when a frame is moved."""
     told = {}
-    monkeypatch.setattr(multiframe, "average", lambda *args, **known: told.update(known) or average(*args, **known))
+    monkeypatch.setattr(merging, "average", lambda *args, **known: told.update(known) or average(*args, **known))
     simulate = processed({"exposure_time": 1e-4}, {"row": 6.0, "column": 8.0, "dsnu": 10.0})
     frames = list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT))
     merge_burst(simulate, frames)
@@ -541,7 +541,7 @@ def test_shadows_of_the_flash_are_not_in_the_picture():
 
 def test_bad_input_is_refused():
     simulate = simulator()
-    frames = simulate.bracket(grey(np.full((40, 40), 0.5)), (0, 1))
+    frames = gs.bracket(simulate, grey(np.full((40, 40), 0.5)), (0, 1))
     small = next(simulate.frames(grey(np.full((20, 40), 0.5)), 1))
     for together in (merge_bracket, merge_burst):
         for wrong, text in ((frames[:1], "1 frame"), ([], "0 frame"), ([frames[0], small], "all like frame 0")):
@@ -558,7 +558,7 @@ def test_bad_input_is_refused():
             together(simulate, [frames[0], floats])
     with pytest.raises(BadData, match="converter"):
         analog = Simulator(camera(bits=32), device="opencl:0")
-        merge_bracket(analog, analog.bracket(grey(np.full((8, 8), 0.5)), (0, 1)))
+        merge_bracket(analog, gs.bracket(analog, grey(np.full((8, 8), 0.5)), (0, 1)))
     full = [dataclasses.replace(frame, raw=np.full((40, 40), 1023, np.uint16)) for frame in frames]
     with pytest.raises(BadData, match="every pixel is full"):
         merge_bracket(simulate, full)
@@ -573,7 +573,7 @@ def test_bad_input_is_refused():
         merge_flash(simulate, frames[0], "flash")
     binned = processed({"binning": (2, 2), "binning_mode": "digital"})
     with pytest.raises(BadData, match=r'digital binning.*"charge"'):
-        merge_bracket(binned, binned.bracket(grey(np.full((80, 80), 0.5)), (0, 1)))
+        merge_bracket(binned, gs.bracket(binned, grey(np.full((80, 80), 0.5)), (0, 1)))
     with pytest.raises(OutOfRange, match="falling from frame to frame"):
         merge(np.zeros((2, 4, 4), np.uint16), dark=[0, 0], gain=[16, 1], time=[1, 1], floor=[9, 9],
               ceiling=[1000, 1000], device="opencl:0")

@@ -198,7 +198,7 @@ def test_a_flat_scene_comes_out_flat(device):
     scene = dataclasses.replace(scene, border="edge")
     sensor = sim.camera.sensor
     exposure = sim.expose(scene, 1.0)
-    exposure = sim.lengthened(exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max()))
+    exposure = gs.lengthened(sim, exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max()))
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
     gains = shading_gains(relative_response(sim.plan(scene)), 3)
     scale = 1 / (sensor.white_level - sensor.black_level)
@@ -251,7 +251,7 @@ def test_a_flat_scene_comes_out_flat_from_binned_pixels(size):
     scene = dataclasses.replace(gs.chart("flat", size=size), border="edge")
     exposure = sim.expose(scene, 1.0)
     output = sim.readout.output
-    exposure = sim.lengthened(exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max()))
+    exposure = gs.lengthened(sim, exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max()))
     raw = np.array(sim.device.numpy(sim.draw(exposure)))
     response = sim.readout.mean(sim.device.array(relative_response(sim.plan(scene)).astype(np.float32)))
     gains, phases = phase_gains(response, output.cfa_indices.shape)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
 
+import gpusim as gs
 from gpusim.data.charts import chart
 from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
@@ -55,7 +56,7 @@ def simulator(*arguments, device="opencl", **sensor):
 
 def electrons(simulate, level, shape=(256, 256), time=0.01, **options):
     """Raw values around a uniform mean [e-], in float64."""
-    return np.asarray(simulate.draw_electrons(np.full(shape, level, np.float32), time, **options), np.float64)
+    return np.asarray(simulate.readout.draw_electrons(np.full(shape, level, np.float32), time, **options), np.float64)
 
 
 def is_sample_of(values, mean, variance, fourth=3.0):
@@ -114,7 +115,7 @@ def test_raw_of_any_mosaic_is_the_same_on_every_device(device, name):
                   dead_pixels=0.005, telegraph_pixels=0.02, telegraph=20.0, telegraph_switching=0.25, seed=11)
     mean = np.random.default_rng(4).uniform(0, 11000, (48, 41)).astype(np.float32)
     for changes in ({}, {"binning": (2, 2)}, {"binning": (2, 1), "binning_mode": "digital"}):
-        raws = [Simulator(camera(MOSAICS[name], noise, **changes), device=one).draw_electrons(
+        raws = [Simulator(camera(MOSAICS[name], noise, **changes), device=one).readout.draw_electrons(
             mean, 0.02, seed=5, frame=3, frames=2) for one in ("numpy", device)]
         assert raws[0].dtype == np.uint16
         assert len(np.unique(raws[0])) > 100 and (raws[0][0] != raws[0][1]).mean() > 0.5
@@ -138,7 +139,7 @@ def test_stacked_pixels_are_as_many_captures_as_channels(model):
 def test_stacked_pixels_have_noise_of_their_own():
     simulate = simulator(("RG", "GB"), Noise(), stacked=True, gain=1.0, bits=14)
     mean = np.full((3, 128, 128), 900, np.float32)
-    layers = simulate.draw_electrons(mean, 0.01).reshape(3, -1)
+    layers = simulate.readout.draw_electrons(mean, 0.01).reshape(3, -1)
     for layer in layers:
         is_sample_of(layer, 900, 900 + 1 / 12)
     # a correlation of n independent pairs has the standard error 1 / sqrt(n)
@@ -208,7 +209,7 @@ def test_bits(bits):
     """Every level of the converter is reached, a full well is the highest, and rounding is to the nearest."""
     simulate = simulator(bits=bits)
     mean = np.linspace(0, 12000, 512 * 256, dtype=np.float32).reshape(256, 512)
-    raw = simulate.draw_electrons(mean, 0.01)
+    raw = simulate.readout.draw_electrons(mean, 0.01)
     white = 2**bits - 1
     assert raw.max() == white and len(np.unique(raw)) == 2**bits
     # nearest: half a DN, and the rounding of gain, product and mean, 1.5 ulp of at most 65535
@@ -219,7 +220,7 @@ def test_bits(bits):
 def test_without_a_converter_values_are_not_rounded(device):
     simulate = simulator(device=device, bits=32, gain=0.37, black_level=10, scaling="normalised")
     mean = np.linspace(0, 12000, 1000, dtype=np.float32).reshape(20, 50)
-    raw = simulate.draw_electrons(mean, 0.01)
+    raw = simulate.readout.draw_electrons(mean, 0.01)
     assert raw.dtype == np.float32
     np.testing.assert_array_equal(raw, np.float32(0.37) * np.minimum(mean, np.float32(10000)) + np.float32(10))
     frame = simulate(chart("ramp", size=(64, 8)))
@@ -235,7 +236,7 @@ def test_gains_and_offset_by_hand():
             ({"gain": 0.25, "analog_offset": 400.0}, 350), ({"gain": 0.25, "analog_offset": -2000.0}, 0),
             ({"conversion_gain": 40e-6, "adc_range": 1.0}, 164),  # 40 mV of 1 V: 0.04 x 4095 = 163.8
             ({"conversion_gain": 40e-6, "adc_range": 1.0, "analog_gain": 2.0}, 328)):  # 327.6
-        assert np.unique(simulator(**changes).draw_electrons(level, 0.01)).tolist() == [expected], changes
+        assert np.unique(simulator(**changes).readout.draw_electrons(level, 0.01)).tolist() == [expected], changes
 
 
 def test_dark_current_doubles_with_temperature():
@@ -288,11 +289,11 @@ def test_the_mean_is_computed_once(monkeypatch):
     assert len(calls) == 1
     optics = [sum(stage.ms for stage in frame.report.stages if stage.stage.startswith("optics.")) for frame in frames]
     assert optics[0] > 0 and optics[1:] == [0, 0, 0]
-    simulate.burst(scene, 5)
+    gs.burst(simulate, scene, 5)
     assert len(calls) == 2
-    simulate.bracket(scene, (-1, 0, 1))
+    gs.bracket(simulate, scene, (-1, 0, 1))
     assert len(calls) == 3
-    simulate.nondestructive(scene, [0.001, 0.002, 0.003])
+    gs.read_nondestructively(simulate, scene, [0.001, 0.002, 0.003])
     assert len(calls) == 4
 
 
@@ -300,7 +301,7 @@ def test_lengthened_is_exposed_anew():
     scene = chart("deadleaves", size=(40, 32))
     noise = Noise(prnu=0.02, hot_pixels=0.01, hot_current=1e4)
     simulate = simulator(MOSAICS["rgbw"], noise, optics=dataclasses.replace(OPTICS, model="diffraction"))
-    longer = simulate.lengthened(simulate.expose(scene, 0.01), 0.04)
+    longer = gs.lengthened(simulate, simulate.expose(scene, 0.01), 0.04)
     anew = simulate.expose(scene, 0.04)
     assert longer.exposure_time == anew.exposure_time == 0.04
     for name in ("mean", "chip_mean"):
@@ -313,12 +314,12 @@ def test_lengthened_is_exposed_anew():
 def test_bracket_has_times_numbers_and_frames_of_its_own():
     scene = chart("ramp", size=(64, 48))
     simulate = simulator(noise=Noise(read=2.0))
-    frames = simulate.bracket(scene, (-2, 0, 1.5), seed=3, first=7)
+    frames = gs.bracket(simulate, scene, (-2, 0, 1.5), seed=3, first=7)
     assert [frame.exposure_time for frame in frames] == pytest.approx([0.0025, 0.01, 0.01 * 2**1.5], rel=1e-15)
     assert [frame.report.frame for frame in frames] == [7, 8, 9]
     once = simulate.expose(scene)
     for number, frame in enumerate(frames):
-        again, = simulate.shoot(simulate.lengthened(once, frame.exposure_time), seed=3, first=7 + number)
+        again, = simulate.shoot(gs.lengthened(simulate, once, frame.exposure_time), seed=3, first=7 + number)
         np.testing.assert_array_equal(frame.raw, again.raw)
     # all are rendered alike: brighter by the exposure, so in equal display values but for noise and saturation
     ratio = frames[1].mean / frames[0].mean
@@ -329,7 +330,7 @@ def test_burst_is_the_frames_one_by_one():
     scene = chart("ramp", size=(40, 24))
     for changes in ({}, {"binning": (2, 2), "binning_mode": "digital"}, {"bits": 32}):
         simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
-        burst = simulate.burst(scene, 3, seed=2, first=5)
+        burst = gs.burst(simulate, scene, 3, seed=2, first=5)
         frames = list(simulate.frames(scene, 3, seed=2, first=5))
         np.testing.assert_array_equal(burst, [frame.raw for frame in frames])
         assert (burst[0] != burst[1]).mean() > 0.3
@@ -340,11 +341,11 @@ def test_average_is_the_mean_of_the_frames(changes):
     simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
     exposure = simulate.expose(chart("ramp", size=(40, 24)))
     frames = np.asarray(simulate.device.numpy(simulate.draw(exposure, seed=2, frame=4, frames=9)), np.float64)
-    mean = simulate.average(exposure, 9, seed=2, first=4)
+    mean = gs.average(simulate, exposure, 9, seed=2, first=4)
     np.testing.assert_allclose(mean, frames.mean(axis=0), rtol=1e-14)  # float64, nine additions
     for count in (0, -1, 2.5):
         with pytest.raises(OutOfRange, match="count of averaged frames"):
-            simulate.average(exposure, count)
+            gs.average(simulate, exposure, count)
 
 
 def saturations(frame):
@@ -454,14 +455,14 @@ def test_reads_saturate_at_the_well():
 
 def test_reads_of_a_scene():
     simulate = simulator(noise=Noise())
-    reads = simulate.nondestructive(chart("flat", size=(64, 64)), TIMES)
+    reads = gs.read_nondestructively(simulate, chart("flat", size=(64, 64)), TIMES)
     assert reads.shape == (3, 64, 64) and reads.dtype == np.uint16
     assert (np.diff(reads.astype(int), axis=0) >= 0).all()
     for times in ([], [0.0], [-1.0, 1.0], [0.2, 0.1], [0.1, 0.1], [np.nan], [0.1, np.inf], [[0.1]]):
         with pytest.raises(OutOfRange, match=r"exposure_time = |times of the reads = "):
-            simulate.nondestructive(chart("flat", size=(8, 8)), times)
+            gs.read_nondestructively(simulate, chart("flat", size=(8, 8)), times)
     with pytest.raises(BadData, match="bins digital numbers"):
-        simulator(binning=(2, 2), binning_mode="digital").nondestructive(chart("flat", size=(8, 8)), [0.1])
+        gs.read_nondestructively(simulator(binning=(2, 2), binning_mode="digital"), chart("flat", size=(8, 8)), [0.1])
 
 
 # ------------------------------------------------------------------------------------------------------ rolling shutter
@@ -483,7 +484,7 @@ def test_a_moving_edge_leans_by_its_speed_times_the_row_time():
     instants = np.arange(28) / speed  # 13.5 ms for 5 + 19 x 0.4 = 12.6 ms
     simulate = simulator(row_time=row_time, full_well=1e9)
     scenes = [edge(5 + step) for step in range(28)]
-    moving = simulate.expose_moving(scenes, instants, exposure)
+    moving = gs.expose_moving(simulate, scenes, instants, exposure)
     mean = np.asarray(simulate.device.numpy(moving.mean), np.float64)
     bright = mean[:, -1:]
     np.testing.assert_allclose(bright, bright[0, 0], rtol=28 * ULP)  # all rows are open as long
@@ -499,13 +500,13 @@ def test_a_scene_at_rest_is_exposed_as_always():
     simulate = simulator(row_time=3e-4)
     still = np.asarray(simulate.device.numpy(simulate.expose(scene, 0.004).mean), np.float64)
     for scenes, times in (([scene], [0.0]), ([scene] * 5, np.arange(5) * 2.5e-3)):
-        mean = simulate.device.numpy(simulate.expose_moving(scenes, times, 0.004).mean)
+        mean = simulate.device.numpy(gs.expose_moving(simulate, scenes, times, 0.004).mean)
         np.testing.assert_allclose(mean, still, rtol=6 * ULP)  # five products and sums
     with pytest.raises(OutOfRange, match="times = "):
-        simulate.expose_moving([scene] * 2, [0.0, 0.009], 0.004)  # the last row closes at 9.7 ms
+        gs.expose_moving(simulate, [scene] * 2, [0.0, 0.009], 0.004)  # the last row closes at 9.7 ms
     for scenes, times in (([], []), ([scene], [0.0, 1.0]), ([scene, edge(3, (8, 8))], [0.0, 1.0])):
         with pytest.raises(BadData, match="moving scene"):
-            simulate.expose_moving(scenes, times, 0.004)
+            gs.expose_moving(simulate, scenes, times, 0.004)
 
 
 # -------------------------------------------------------------------------------------------------------------- report
@@ -547,7 +548,7 @@ def bracket_of(noise, stops=(-3, -1, 1, 3), **changes):
     flat = chart("flat", size=(128, 96))
     rate = simulate.device.numpy(simulate.expose(flat).mean).max() / 0.01
     simulate = simulator(noise=noise, **{"black_level": 200, "exposure_time": 2000 / float(rate)} | changes)
-    return float(rate), simulate.bracket(flat, stops, seed=9)
+    return float(rate), gs.bracket(simulate, flat, stops, seed=9)
 
 
 @pytest.mark.parametrize("changes", [{}, {"bits": 32, "analog_offset": 30.0}, {"gain": 0.9, "bits": 14}])
@@ -580,7 +581,7 @@ def test_merged_rates_are_unbiased_and_as_good_as_theory(changes):
 def test_own_variances_would_bias_what_merge_inputs_does_not():
     """Ten frames of 100 e-: weights by each value's own variance lose 1 e-, equal ones nothing."""
     simulate = simulator(noise=Noise(), gain=1.0)
-    raws = simulate.draw_electrons(np.full((96, 128), 100, np.float32), 0.01, frames=10)
+    raws = simulate.readout.draw_electrons(np.full((96, 128), 100, np.float32), 0.01, frames=10)
     frames = [SimpleNamespace(camera=simulate.camera, exposure_time=0.01, raw=raw) for raw in raws]
     inputs = merge_inputs(frames)
     weights = 1 / inputs.variances
@@ -596,7 +597,8 @@ def test_saturated_values_are_masked():
         simulate = simulator(noise=Noise(read=10.0), **changes)
         sensor = simulate.camera.sensor
         mean = np.repeat(np.float32([0.5, 0.8, 1.2, 3.0])[:, None] * np.float32(sensor.saturation), 4000, axis=1)
-        frame = SimpleNamespace(camera=simulate.camera, exposure_time=1.0, raw=simulate.draw_electrons(mean, 1.0))
+        raw = simulate.readout.draw_electrons(mean, 1.0)
+        frame = SimpleNamespace(camera=simulate.camera, exposure_time=1.0, raw=raw)
         valid = merge_inputs([frame]).valid[0]
         assert valid[:2].all()
         # 5 standard deviations of a read below the well: 3e-7 of 8000 values
@@ -646,7 +648,7 @@ def test_electrons_that_cannot_be_drawn_are_refused(value):
     mean[2, 5] = value
     with pytest.raises(OutOfRange, match=r"mean electrons at \(2, 5\) = (nan|inf|-inf|-1) e-: allowed is 0 <= elec") \
             as caught:
-        simulator().draw_electrons(mean, 0.01)
+        simulator().readout.draw_electrons(mean, 0.01)
     assert "1 of 48 pixels" in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -654,22 +656,22 @@ def test_electrons_that_cannot_be_drawn_are_refused(value):
 def test_exposures_of_zero_or_less_are_refused_before_any_work(monkeypatch, time):
     calls = counting(monkeypatch)
     scene, simulate = chart("flat", size=(8, 8)), simulator()
-    for expose in (lambda: simulate.expose(scene, time), lambda: simulate.expose_moving([scene], [0.0], time),
-                   lambda: simulate.draw_electrons(np.ones((4, 4)), time)):
+    for expose in (lambda: simulate.expose(scene, time), lambda: gs.expose_moving(simulate, [scene], [0.0], time),
+                   lambda: simulate.readout.draw_electrons(np.ones((4, 4)), time)):
         with pytest.raises(OutOfRange, match=r"exposure_time = .*allowed is 0 < exposure_time"):
             expose()
     assert not calls
     with pytest.raises(OutOfRange, match="exposure_time"):
-        simulate.lengthened(simulate.expose(scene), time)
+        gs.lengthened(simulate, simulate.expose(scene), time)
 
 
 def test_other_shapes_and_stops_are_refused():
     for mean in (np.ones(4), np.ones((0, 4)), np.ones((2, 2, 2, 2))):
         with pytest.raises(BadData, match="mean electrons: shape"):
-            simulator().draw_electrons(mean, 0.01)
+            simulator().readout.draw_electrons(mean, 0.01)
     for stops in ([np.nan], [0, np.inf], [-2000], [[1, 2]]):
         with pytest.raises(OutOfRange, match="stops of a bracket"):
-            simulator().bracket(chart("flat", size=(8, 8)), stops)
+            gs.bracket(simulator(), chart("flat", size=(8, 8)), stops)
 
 
 def test_a_frame_smaller_than_a_binned_pixel_is_refused():
@@ -685,8 +687,8 @@ def test_any_overexposure_is_white(device):
     hot = Noise(hot_pixels=0.5, hot_current=1e12, dark_current=1e12, temperature=85, reference_temperature=25,
                 doubling=1.0)
     simulate = Simulator(camera(noise=hot), device=device)
-    assert (simulate.draw_electrons(np.full((5, 7), 1.0), 1e12) == 4095).all()
-    frame, = simulator(device=device).bracket(chart("flat", size=(7, 5)), (46,))  # 0.01 s 2^46 = 7e11 s
+    assert (simulate.readout.draw_electrons(np.full((5, 7), 1.0), 1e12) == 4095).all()
+    frame, = gs.bracket(simulator(device=device), chart("flat", size=(7, 5)), (46,))  # 0.01 s 2^46 = 7e11 s
     assert (frame.raw == 4095).all()
 
 
@@ -695,11 +697,12 @@ def test_whole_numbers_of_any_kind_name_the_noise(device):
     simulate = Simulator(camera(noise=Noise(read=3.0)), device=device)
     mean = np.full((5, 7), 100.0)
     for kind, value in ((np.int32, 3), (np.uint32, 2**32 - 2), (np.uint64, 2**32 - 1)):
-        plain = simulate.draw_electrons(mean, 0.01, seed=value, frame=value)
-        np.testing.assert_array_equal(simulate.draw_electrons(mean, 0.01, seed=kind(value), frame=kind(value)), plain)
+        plain, same = (simulate.readout.draw_electrons(mean, 0.01, seed=number, frame=number)
+                       for number in (value, kind(value)))
+        np.testing.assert_array_equal(same, plain)
     for wrong in ({"seed": -1}, {"seed": 1.5}, {"frame": 2**32}, {"frames": 0}, {"frames": -1}, {"frames": 70000}):
         with pytest.raises(OutOfRange, match=f"{next(iter(wrong))} = "):
-            simulate.draw_electrons(mean, 0.01, **wrong)
+            simulate.readout.draw_electrons(mean, 0.01, **wrong)
 
 
 def test_what_was_metered_can_be_kept():
@@ -711,7 +714,7 @@ def test_what_was_metered_can_be_kept():
     again = simulate.expose(scene, first.exposure_time, first.gain)
     np.testing.assert_array_equal(*(np.array(simulate.device.numpy(simulate.draw(one))) for one in (first, again)))
     mean = np.array(simulate.device.numpy(first.mean))
-    np.testing.assert_array_equal(simulate.draw_electrons(mean, first.exposure_time, gain=first.gain),
+    np.testing.assert_array_equal(simulate.readout.draw_electrons(mean, first.exposure_time, gain=first.gain),
                                   np.array(simulate.device.numpy(simulate.draw(first))))
     for gain in (0.0, -1.0, np.nan):
         with pytest.raises(OutOfRange, match="gain"):
@@ -757,8 +760,8 @@ def test_sensors_that_cannot_be_are_refused(sensor, text):
 
 def test_layers_must_be_those_of_the_sensor():
     stacked = simulator(("RGB",), stacked=True)
-    assert stacked.draw_electrons(np.full((3, 4, 5), 9.0), 0.01).shape == (3, 4, 5)
-    assert stacked.draw_electrons(np.full((3, 4, 5), 9.0), 0.01, frames=2).shape == (2, 3, 4, 5)
+    assert stacked.readout.draw_electrons(np.full((3, 4, 5), 9.0), 0.01).shape == (3, 4, 5)
+    assert stacked.readout.draw_electrons(np.full((3, 4, 5), 9.0), 0.01, frames=2).shape == (2, 3, 4, 5)
     for simulate, shape in ((stacked, (4, 5)), (stacked, (2, 4, 5)), (simulator(), (3, 4, 5))):
         with pytest.raises(BadData, match="shape"):
-            simulate.draw_electrons(np.full(shape, 9.0), 0.01)
+            simulate.readout.draw_electrons(np.full(shape, 9.0), 0.01)

@@ -77,8 +77,8 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
     scene = chart("colorchecker", size=(61, 43))
     means = Simulator(open_camera(camera), device="numpy").expose(scene)
     mean = np.asarray(means.mean, np.float32)
-    raws = {device: Simulator(open_camera(camera), device=device).draw_electrons(mean, means.exposure_time, seed=3,
-                                                                                         frame=2) for device in ALL}
+    raws = {device: Simulator(open_camera(camera), device=device).readout.draw_electrons(
+        mean, means.exposure_time, seed=3, frame=2) for device in ALL}
     assert raws["numpy"].dtype == np.uint16 and len(np.unique(raws["numpy"])) > 10
     for raw in raws.values():
         np.testing.assert_array_equal(raw, raws["numpy"])

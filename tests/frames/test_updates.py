@@ -125,8 +125,8 @@ def test_the_report_has_every_stage_that_ran(scene):
 def test_every_kind_of_exposure_says_how_long_it_took(scene):
     """The wall holds all stages, also of brackets and moving scenes; each is on the clock while the stages run."""
     simulator = gs.Simulator(camera_with(BASE, sensor={"row_time": 1e-5}), device="numpy")
-    moving = simulator.expose_moving([scene, scene], [0.0, 0.02], 0.01)
-    frames = [*simulator.bracket(scene, (0, 1)), next(simulator.shoot(moving)), simulator(scene)]
+    moving = gs.expose_moving(simulator, [scene, scene], [0.0, 0.02], 0.01)
+    frames = [*gs.bracket(simulator, scene, (0, 1)), next(simulator.shoot(moving)), simulator(scene)]
     for frame in frames:
         assert 0 < frame.report.ms <= frame.report.wall_ms
 

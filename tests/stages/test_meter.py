@@ -11,6 +11,7 @@ from gpusim.backends.select import open_device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.exposure import AutoExposure, LightStatistics
 from gpusim.kernels.sensor.meter import MOST_CHUNKS, STRIP, meter
+from gpusim.program import metering
 
 # Sums of at most 91 float32 terms, then compensated: 110 2^-24 = 6.6e-6 at worst; roundings differ in sign, so that of
 # light, of one sign, far less is left. The result is float32.
@@ -159,7 +160,7 @@ def test_the_exposure_is_that_of_the_downloaded_frame(automatic, stacked, device
     rates = simulator.imaging.exposed(plan, simulator.imaging.rates(plan), 1.0)
     frame = np.array(simulator.device.numpy(rates)) + np.float32(7.7 * sensor.noise.warmth)
     wanted = automatic.choose(frame, simulator.readout.output.saturation)
-    found = simulator.metered(rates)
+    found = metering.metered(simulator, rates)
     exact = automatic.method in ("full", "percentile")
     assert found == (wanted if exact else pytest.approx(wanted, rel=MEAN))
 
@@ -173,7 +174,7 @@ def test_light_that_is_not_finite_is_refused(method, device):
     rates = np.ones((20, 30), np.float32)
     rates[3, 4], rates[5, :2] = np.nan, np.inf
     with pytest.raises(BadData, match="3 of 600 pixels have NaN or infinite light"):
-        simulator.metered(simulator.device.array(rates))
+        metering.metered(simulator, simulator.device.array(rates))
 
 
 def test_statistics_of_more_light_are_those_of_the_sum():

@@ -1,7 +1,6 @@
 """Contrast autofocus: pictures at trial positions of the sensor, the sharpest of which is in focus."""
 
 from dataclasses import dataclass, replace
-from math import prod
 
 import numpy as np
 
@@ -51,75 +50,99 @@ def autofocus(simulator: Simulator, scene: Scene, *, region: tuple[slice, slice]
     Raises BadData for a scene without depth or without detail, OutOfRange for a region or range that cannot be, or if
     the contrast still rises at `nearest`.
     """
-    optics, sensor = simulator.camera.optics, simulator.camera.sensor
+    optics = simulator.camera.optics
     if scene.depth is None:
         raise BadData(f"{scene.name}: no depth, so it is equally sharp at every focus; give scene.depth [m]")
     nearest = 20 * optics.focal_length if nearest is None else nearest
     if not optics.focal_length < nearest < farthest:
         raise OutOfRange("autofocus range", f"{nearest:.4g} .. {farthest:.4g} m",
                          f"focal_length ({optics.focal_length:.4g} m) < nearest < farthest")
-    readout = simulator.readout
-    period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
-    region = _checked_region(region, readout.output_shape(scene.shape), period)
+    trials = _Trials(simulator, scene, region, seed)
+    step, depth_of_focus = _steps(simulator.camera)
+    far, near = _ends(optics, scene, nearest, farthest)
 
-    infinity = replace(optics, object_distance=np.inf)
-    diopters = (infinity.working_f_number * sensor.pixel_pitch) / infinity.displacement(1.0)  # to a pixel
+    around = np.linspace(far, near, max(5, int(np.ceil((near - far) / step)) + 1))
+    step = around[1] - around[0]
+    best = max(around, key=trials)
+    trials.require_rise()
+    while step > depth_of_focus / 2:
+        step /= 3
+        around = np.clip(best + step * np.arange(-3, 4), far, near)
+        best = max(around, key=trials)
+    if best == near:
+        raise OutOfRange("nearest", f"{nearest:.4g} m", "less: the contrast still rises there")
+    around = np.unique(np.clip(best + step * np.arange(-3, 4), far, near))
+    curve = np.polynomial.Polynomial.fit(around, [trials(vergence) for vergence in around], 2)
+    bend = curve.convert().coef
+    if len(around) > 2 and bend[2] < 0:
+        best = float(np.clip(-bend[1] / (2 * bend[2]), around[0], around[-1]))
+    order = sorted(trials.found)
+    return Focus(replace(optics, object_distance=_distance(best)), depth_of_focus,
+                 np.array([_distance(vergence) for vergence in order]), np.array([trials(v) for v in order]))
+
+
+def _steps(camera):
+    """Between the first trials, and of half the range that is as sharp as the focus [1/m]."""
+    infinity, pitch = replace(camera.optics, object_distance=np.inf), camera.sensor.pixel_pitch
+    diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # to a pixel
     depth_of_focus = max(2 * infinity.working_f_number**2 * WAVELENGTH * 1e-9,  # a quarter wave
-                         infinity.working_f_number * sensor.pixel_pitch / 2) / infinity.displacement(1.0)
-    # no trial is so far from any surface that the lens's model ends
-    reach = 0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / infinity.displacement(1.0)
+                         infinity.working_f_number * pitch / 2) / infinity.displacement(1.0)
+    return FIRST_STEP * diopters, depth_of_focus
+
+
+def _ends(optics, scene, nearest, farthest):
+    """Where the search begins and ends [1/m], no trial so far from any surface that the lens's model ends.
+
+    Raises OutOfRange.
+    """
+    per_diopter = replace(optics, object_distance=np.inf).displacement(1.0)
+    reach = 0.8 * LONGEST_WAVEFRONT * 8 * optics.f_number**2 * scene.wavelengths[0] * 1e-9 / per_diopter
     far, near = max(1 / farthest, 1 / scene.depth.min() - reach), min(1 / nearest, 1 / scene.depth.max() + reach)
     if not far < near:
         raise OutOfRange("depth", f"{scene.depth.min():.4g} .. {scene.depth.max():.4g} m",
                          f"within {reach:.4g} dioptres of the focus: {LONGEST_WAVEFRONT:g} waves")
+    return far, near
 
-    trials: dict[float, tuple[float, float]] = {}
-    averaged = prod(sensor.binning) // readout.pixels
-    metered: tuple = ()  # exposure time and gain of the first picture
 
-    def measure(vergence):
-        nonlocal metered
-        if vergence not in trials:
-            trial = _focused(simulator, _distance(vergence))
-            exposure = trial.expose(scene, *metered)
-            metered = exposure.exposure_time, exposure.gain
-            frame = next(trial.shoot(exposure, seed=seed, first=len(trials)))
-            raw = frame.raw[len(frame.raw) // 2] if sensor.stacked else frame.raw  # the middle channel
-            operated = frame.camera.sensor
-            trials[vergence] = _contrast(raw[region].astype(float) - operated.dark_level, operated, period,
-                                         frame.exposure_time, averaged)
-        return trials[vergence][0]
+class _Trials:
+    """The contrast of a region at trial positions, each of which is measured once.
 
-    step = FIRST_STEP * diopters
-    around = np.linspace(far, near, max(5, int(np.ceil((near - far) / step)) + 1))
-    step = around[1] - around[0]
-    best = max(around, key=measure)
-    _require_rise(scene, trials)
-    while step > depth_of_focus / 2:
-        step /= 3
-        around = np.clip(best + step * np.arange(-3, 4), far, near)
-        best = max(around, key=measure)
-    if best == near:
-        raise OutOfRange("nearest", f"{nearest:.4g} m", "less: the contrast still rises there")
-    around = np.unique(np.clip(best + step * np.arange(-3, 4), far, near))
-    curve = np.polynomial.Polynomial.fit(around, [measure(vergence) for vergence in around], 2)
-    bend = curve.convert().coef
-    if len(around) > 2 and bend[2] < 0:
-        best = float(np.clip(-bend[1] / (2 * bend[2]), around[0], around[-1]))
-    order = sorted(trials)
-    return Focus(replace(optics, object_distance=_distance(best)), depth_of_focus,
-                 np.array([_distance(vergence) for vergence in order]), np.array([trials[v][0] for v in order]))
+    found: vergence [1/m] -> contrast and its standard error [1]. Raises OutOfRange for a region that is too small.
+    """
+
+    def __init__(self, simulator, scene, region, seed):
+        sensor, readout = simulator.camera.sensor, simulator.readout
+        self._program, self._seed = simulator.program(scene), seed
+        self._period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
+        self._region = _checked_region(region, readout.output_shape(scene.shape), self._period)
+        self.found: dict[float, tuple[float, float]] = {}
+
+    def __call__(self, vergence):
+        """The contrast at a vergence [1/m]; exposed as the first trial was."""
+        if vergence not in self.found:
+            simulator = self._program.simulator
+            focused = replace(simulator.camera.optics, object_distance=_distance(vergence))
+            program = self._program.update(camera=replace(simulator.camera, optics=focused))
+            exposure = program.exposure
+            raw = program.raw(seed=self._seed, frame=len(self.found))
+            raw = exposure.layered(np.asarray(simulator.device.numpy(raw)))
+            program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)  # of the next trials
+            raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw  # the middle channel
+            operated = exposure.camera.sensor
+            self.found[vergence] = _contrast(raw[self._region].astype(float) - operated.dark_level, operated,
+                                             self._period, exposure.exposure_time, simulator.readout.averaged)
+        return self.found[vergence][0]
+
+    def require_rise(self):
+        """Refuse a scene whose contrast is the same at every focus, but for noise. Raises BadData."""
+        (least, error), (most, _) = min(self.found.values()), max(self.found.values())
+        if not most - least > max(CERTAIN * error, LEAST_RISE * abs(least), 1e-12):
+            raise BadData(f"{self._program.scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, "
+                          f"standard error {error:.2g}; choose a region with an edge or texture, or more light")
 
 
 def _distance(vergence):
     return 1 / vergence if vergence > 0 else np.inf
-
-
-def _focused(simulator, distance):
-    """The same camera with its lens focused at `distance` [m]."""
-    camera = simulator.camera
-    return Simulator(replace(camera, optics=replace(camera.optics, object_distance=distance)), device=simulator.device,
-                     tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=simulator.reach)
 
 
 def _checked_region(region, shape, period):
@@ -147,11 +170,3 @@ def _contrast(raw, sensor, period, exposure_time, averaged):
     squares = np.concatenate([((raw[step:] - raw[:-step]) ** 2).ravel() if axis == 0 else
                               ((raw[:, step:] - raw[:, :-step]) ** 2).ravel() for axis, step in enumerate(period)])
     return float((squares.mean() - noise) / level**2), float(squares.std() / np.sqrt(squares.size) / level**2)
-
-
-def _require_rise(scene, trials):
-    """Refuse a scene whose contrast is the same at every focus, but for noise. Raises BadData."""
-    (least, error), (most, _) = min(trials.values()), max(trials.values())
-    if not most - least > max(CERTAIN * error, LEAST_RISE * abs(least), 1e-12):
-        raise BadData(f"{scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, standard error "
-                      f"{error:.2g}; choose a region with an edge or texture, or more light")

@@ -26,7 +26,7 @@ REACH = 16  # [pixel] over which demosaicking may mix values
 
 
 def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = None) -> Frame:
-    """One picture of high dynamic range from frames exposed differently long, such as `Simulator.bracket` takes.
+    """One picture of high dynamic range from frames exposed differently long, such as `bracket` takes.
 
     Each pixel becomes the mean of its rates, electrons per second, weighted by the inverse of their variances; frames
     in which it is full are left out, and where all are, it is that of the frame which holds the largest rate: the
@@ -154,7 +154,7 @@ def _checked(function, frames, most):
     for number, frame in enumerate(frames):
         if not isinstance(frame, Frame):
             raise BadData(f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, such "
-                          "as Simulator.frames and Simulator.bracket give")
+                          "as Simulator.frames and gpusim.bracket give")
     if len(frames) < 2 or (most and len(frames) > most):
         raise BadData(f"{function}: {len(frames)} frame(s); wanted two{f' to {most}' if most else ' or more'}")
     first = frames[0]

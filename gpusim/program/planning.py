@@ -1,0 +1,45 @@
+"""The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
+
+from math import ceil
+
+from gpusim.domain.errors import DoesNotFit, OutOfRange
+from gpusim.domain.scene import Scene
+from gpusim.kernels.common.fft import LENGTHS, fft_length
+from gpusim.kernels.optics.mosaic import transform_lengths
+from gpusim.planner.facts import Facts
+from gpusim.planner.plan import BORDER_REACH, Plan, plan
+
+MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
+
+
+def checked_reach(reach: int | None) -> int | None:
+    """Return the pixels of surroundings that are asked for, or None, as they are. Raises OutOfRange."""
+    if reach is not None and (int(reach) != reach or not 1 <= reach <= MOST_REACH):
+        raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {MOST_REACH}")
+    return reach
+
+
+def planned_by(simulator) -> tuple:
+    """What plans depend on beside the scene."""
+    sensor, asked = simulator.camera.sensor, simulator.tolerance
+    in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
+    noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
+    return (simulator.camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
+            sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
+
+
+def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
+    """What a frame of `scene` takes: see `Simulator.plan`."""
+    reach, period, device = simulator.reach, simulator.period, simulator.device
+    most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
+        LENGTHS[-1] - 2 * (ceil((reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
+    if max(scene.samples) > most and not period:
+        raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
+    simulator.readout.output_shape(scene.shape)
+    made = plan(scene, simulator.camera, transform_lengths, fft_length, simulator.imaging.tables.sampled,
+                simulator.tolerance, simulator.guaranteed, reach, simulator.fft_free, period,
+                lambda what, key, make: simulator.kept(what, (planned_by(simulator), key), make), facts)
+    needed = made.bytes_needed * (4 if device.kind == "numpy" else 1)  # float64 and complex temporaries
+    if needed > device.memory:
+        raise DoesNotFit(f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})", needed, device.memory, device.name)
+    return made
