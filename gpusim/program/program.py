@@ -144,7 +144,8 @@ class Program:
         start = time.perf_counter()
         with self.simulator.device.timed() as ms:
             exposure = self._exposed()
-        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (time.perf_counter() - start))
+        wall = 1e3 * (time.perf_counter() - start)
+        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
 
     def _exposed(self):
         """The exposure without its times."""
