@@ -75,6 +75,11 @@ class Device:
         """What may still be allocated in all [byte]: the host's free memory, for devices on the host."""
         return host_memory()
 
+    @property
+    def largest_array(self) -> int:
+        """What one array may take [byte]."""
+        return self.memory
+
     def array(self, values, dtype=np.float32):
         """Array of this device with these values; one that is there already is returned as it is.
 
