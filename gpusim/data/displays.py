@@ -43,9 +43,10 @@ def open_display(name: str) -> Display:
 def displayed(codes, display: Display) -> Scene:
     """The screen as a scene: the radiance of a picture on a display whose spectra are known, one sample per pixel.
 
-    codes: uint8 or uint16, shape (rows, cols, 3), such as `Frame.rgb`, or an array of a device. The scene's light is the display's white: radiance =
-    linear light of the three primaries times their spectra (Farrell & Wandell, section 3). For "srgb" the primaries are
-    those of `srgb_primaries` in D65. Raises BadData for another shape and for a display without spectra.
+    codes: uint8 or uint16, shape (rows, cols, 3), such as `Frame.rgb`, or an array of a device, which decodes them. The
+    scene's light is the display's white: radiance = linear light of the three primaries times their spectra (Farrell &
+    Wandell, section 3). For "srgb" the primaries are those of `srgb_primaries` in D65. Raises BadData for another shape
+    and for a display without spectra.
     """
     codes = described(codes, "displayed picture")
     if display.spectra is not None:

@@ -367,8 +367,8 @@ class Picture(Content):
     def _check_types(self, name):
         kind = type_of(self.codes)
         if kind is None or kind.type not in (np.uint8, np.uint16):
-            raise BadData(f"{name}: codes of type {kind or self.codes.dtype}, wanted uint8 or uint16; give linear light "
-                          "as the planes (K, rows, cols) of a Basis")
+            raise BadData(f"{name}: codes of type {kind or self.codes.dtype}, wanted uint8 or uint16; give linear "
+                          "light as the planes (K, rows, cols) of a Basis")
 
     def _check_shapes(self, name):
         shape, count = tuple(self.codes.shape), len(self.basis)

@@ -73,7 +73,7 @@ class Display:
 
     def table(self, kind) -> np.ndarray:
         """`decode` of every code, float32: shape (65536,) for those of the type uint16, (256,) for uint8."""
-        return _table(self.curve, 65535 if kind == np.uint16 else 255)
+        return _table(self.curve, 65535 if np.dtype(kind).type is np.uint16 else 255)
 
     def encode(self, light) -> np.ndarray:
         """The inverse of `decode`."""
