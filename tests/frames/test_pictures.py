@@ -14,8 +14,10 @@ from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.content import Picture
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import type_of
+from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
 from gpusim.planner.facts import Facts
+from gpusim.program.imaging import Imaging
 
 SHAPE = (48, 64)
 MOST = {np.uint8: 255, np.uint16: 65535}
@@ -144,6 +146,17 @@ def test_a_highlight_is_found_in_a_later_picture(device):
     same_bits(simulator.device, program.raw(seed=4), simulator.program(decoded(scene), 0.01).raw(seed=4))
 
 
+@pytest.mark.parametrize("device", KINDS)
+def test_pictures_are_decoded_to_one_place(device, monkeypatch):
+    """From the third on, the steps behind are started again without their host code, as for all scenes of a loop."""
+    calls, inner = [], Imaging.planes
+    monkeypatch.setattr(Imaging, "planes", lambda self, *given: calls.append(number) or inner(self, *given))
+    program = gs.Simulator(METERED, device=device).program(gs.picture(frame()), 0.01)
+    for number in range(5):
+        program.update(scene=gs.picture(frame(number))).raw()
+    assert calls == [0, 1]
+
+
 def test_a_stream_sends_bytes():
     """To memory apart from the host's, as a GPU's is: three bytes a pixel, six of 16 bits."""
     opened, sent = open_device("opencl"), []
@@ -248,3 +261,17 @@ def test_what_is_no_frame_is_refused_in_one_line(make, error, words):
     with pytest.raises(error, match=words) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("device", ["numpy", "opencl"])
+@pytest.mark.parametrize(("codes", "curve", "words"), [
+    (frame() / 255, np.ones(256), "codes of type float64; wanted uint8 or uint16"),
+    (frame().astype(np.int16), np.ones(256), "codes of type int16"),
+    (frame()[None], np.ones(256), r"codes of shape \(1, 48, 64, 3\); wanted \(rows, cols, channels\)"),
+    (frame()[0, 0], np.ones(256), r"codes of shape \(3,\)"),
+    (frame(), np.ones(255), r"a curve of shape \(255,\); wanted \(256,\) for uint8"),
+    (frame(kind=np.uint16), np.ones((256, 256)), r"a curve of shape \(256, 256\); wanted \(65536,\) for uint16"),
+])
+def test_what_the_stage_refuses(device, codes, curve, words):
+    with pytest.raises(BadData, match=f"^decode: {words}"):
+        decode(codes, curve, device=device)
