@@ -372,7 +372,8 @@ def plan(scene: Scene, camera: Camera, transform_lengths, fft_length, transfer_t
     left_out += [f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} scene "
                  f"sample{'' if ratio == 1 else 's'} per pixel",
                  *([f"depth: {without}, so the blur is the same at all distances"] if without else [])]
-    needed = _bytes(rows, cols, own_period, content, table, mix, transfers, len(nodes), len(weights),
+    stored = max(content.nbytes, scene.content.nbytes)  # of a picture the codes, too
+    needed = _bytes(rows, cols, own_period, stored, table, mix, transfers, len(nodes), len(weights),
                     1 if optics.is_symmetric and not any(moved) else 4)
     if by_depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         needed += 16 * len(weights) * rows * cols * len(by_depth.kernels) * by_depth.layers
@@ -649,14 +650,14 @@ def _energy_beyond(radius, q):
     return float(j0(v) ** 2 + j1(v) ** 2)
 
 
-def _bytes(rows, cols, period, content, table, mix, transfers, bands, channels, parts):
+def _bytes(rows, cols, period, stored, table, mix, transfers, bands, channels, parts):
     """Device memory of a frame [byte], the arrays that live at the same time added up.
 
-    parts: size of a transfer table over that of a real quarter.
+    stored: of the scene's samples. parts: size of a transfer table over that of a real quarter.
     """
     frame, padded = rows * cols, prod(period)
     quarter = (period[0] // 2 + 1) * (period[1] // 2 + 1)
-    total = content.nbytes + frame * (4 * channels + 4 + 2 + 12 + 3)
+    total = stored + frame * (4 * channels + 4 + 2 + 12 + 3)
     if mix is not None:
         planes = mix.shape[1]
         total += 4 * frame * (planes if table is not None else 0)

@@ -389,6 +389,7 @@ def test_the_example_of_the_readme_runs():
     exec(text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0], names)
     assert names["picture"].shape == names["codes"].shape == (480, 640, 3)
     assert names["picture"].std() > 10 and names["half"].content.values.dtype == np.float16
+    assert names["again"].content.codes is names["codes"]
 
 
 def test_kinds_of_memory():
