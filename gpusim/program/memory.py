@@ -10,12 +10,12 @@ from gpusim.planner.plan import Plan
 
 
 def bytes_needed(plan: Plan, device: Device) -> int:
-    """Memory of a frame on a device [byte]; transforms by SciPy, in the host's memory, count where that is the device's.
+    """Memory of a frame on a device [byte]; SciPy's transforms count where their memory is the device's.
 
     The sum of what each stage says that it allocates; constants of a few thousand bytes are left out.
     """
     scene, content, samples = plan.scene, plan.content, prod(plan.content.shape)
-    total = sum(_stored(content))
+    total = max(content.nbytes, scene.content.nbytes)  # of a picture the codes, too
     planes = len(content.entry_spectra) if plan.table is None else len(plan.table)
     if plan.table is not None:
         total += 4 * planes * samples
@@ -36,13 +36,9 @@ def bytes_needed(plan: Plan, device: Device) -> int:
 def largest_array(plan: Plan) -> int:
     """Memory of the largest array of the content, the planes or the transfer tables [byte]."""
     content, samples = plan.content, prod(plan.content.shape)
+    stored = [prod(getattr(content, name).shape) * content.stored_type(name).itemsize for name in content.samples]
     planes = 0 if plan.table is None else 4 * len(plan.table) * samples
-    return max(*_stored(content), planes, _tables(plan) if plan.mix is not None else 0)
-
-
-def _stored(content):
-    """Bytes of each array of a content's samples on a device."""
-    return [prod(getattr(content, name).shape) * content.stored_type(name).itemsize for name in content.samples]
+    return max(*stored, planes, _tables(plan) if plan.mix is not None else 0)
 
 
 def _tables(plan):

@@ -55,11 +55,13 @@ def scene_of(form):
     picture = gs.chart("deadleaves", size=SIZE)
     if form == "materials":
         return picture
+    if form == "picture":
+        return gs.picture(np.random.default_rng(1).integers(0, 256, (*SIZE[::-1], 3), np.uint8))
     bands = np.ascontiguousarray(picture.content.bands_at(slice(None)), np.float32)
     return replace(picture, content=gs.Cube(picture.wavelengths, bands.astype(form)))
 
 
-@pytest.mark.parametrize("form", ["materials", np.float32])
+@pytest.mark.parametrize("form", ["materials", np.float32, "picture"])
 @pytest.mark.parametrize("tolerance", [None, 4e-4])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_a_programs_memory_is_predicted(camera, tolerance, form):
