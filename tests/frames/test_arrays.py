@@ -404,8 +404,8 @@ def test_streams_are_cudas_alone(device):
         open_device(device).on_stream(0).__enter__()
 
 
-@pytest.mark.parametrize("device", [name for name in GPUS if name.startswith("warp")])
-def test_work_is_in_turn_with_a_callers_stream(device):
+@pytest.mark.skipif("warp:cuda:0" not in GPUS, reason="no CUDA device")
+def test_work_is_in_turn_with_a_callers_stream(device="warp:cuda:0"):
     """A tensor is written late on a stream that nobody waits for; the frame reads what was written."""
     torch = pytest.importorskip("torch", reason="PyTorch is not installed")
     picture = gs.chart("deadleaves", size=(640, 480))
