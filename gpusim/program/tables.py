@@ -23,13 +23,6 @@ class LensTables:
         sensor = camera.sensor
         self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
 
-    def sampled(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
-        """Transfer tables for the planner, float64."""
-        pitch = self.camera.sensor.pixel_pitch / finer
-        key = self._lens, q, aperture, displacement
-        return self._kept(f"sampled {rows}x{cols} {finer:g}", key, lambda: self.bands(
-            q, pitch, aperture, rows, cols, open_device("numpy"), whole=False, displacement=displacement))
-
     def grid(self, samples_per_pixel):
         """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
 
