@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from gpusim.planner.rendering import Rendering
 from gpusim.report import Report
 
 ON_DEVICE = ("mean", "chip_mean")  # of an exposure
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,7 @@ class Exposure:
         for the light that is known or assumed.
     blur: of the lens as a Gaussian [pixel], shading: the correction's gains at its nodes, where the camera uses them.
     ms: milliseconds per stage that it took; wall_ms: in all, planning included. device: where the electrons are.
+    is_rewritten: whether a program will write to these arrays again.
     It is pickled with their values and the device's name, which is opened where it is loaded.
     """
 
@@ -43,6 +45,7 @@ class Exposure:
     ms: dict = dataclasses.field(default_factory=dict)
     wall_ms: float = 0.0
     device: Device = dataclasses.field(default_factory=Device)
+    is_rewritten: bool = False
 
     def layered(self, raw):
         """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
@@ -52,13 +55,38 @@ class Exposure:
         return self.__dict__ | {name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE}
 
     def __setstate__(self, state):
-        self.__dict__.update(state, **{name: state["device"].array(state[name], state[name].dtype)
-                                       for name in ON_DEVICE})
+        arrays = {name: state["device"].array(state[name], state[name].dtype) for name in ON_DEVICE}
+        self.__dict__.update(state, **arrays, is_rewritten=False)
+
+
+class Later:
+    """A value that is made when it is first asked for."""
+
+    def __init__(self, make):
+        self.make = make
+
+
+class _Made(Generic[T]):
+    """A field whose value may be given as a Later."""
+
+    def __set_name__(self, owner, name):
+        self.name = name
+
+    def __get__(self, frame, owner=None) -> T:
+        if frame is None:
+            raise AttributeError(self.name)  # a dataclass asks so for its default: there is none
+        value = vars(frame)[self.name]
+        if isinstance(value, Later):
+            value = vars(frame)[self.name] = value.make()
+        return value
+
+    def __set__(self, frame, value: T | Later) -> None:
+        vars(frame)[self.name] = value
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One simulated picture.
+    """One simulated picture, whose parts are computed and copied to the host when they are first asked for.
 
     camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated, the
         white that of the picture where the camera estimates it.
@@ -71,14 +99,23 @@ class Frame:
 
     camera: Camera
     exposure_time: float
-    rendering: Rendering
-    mean: np.ndarray
-    raw: np.ndarray
-    linear: np.ndarray
-    rgb: np.ndarray
-    report: Report
+    rendering: _Made[Rendering] = _Made()
+    mean: _Made[np.ndarray] = _Made()
+    raw: _Made[np.ndarray] = _Made()
+    linear: _Made[np.ndarray] = _Made()
+    rgb: _Made[np.ndarray] = _Made()
+    report: _Made[Report] = _Made()
     blur: float = 0.0
     shading: np.ndarray | None = None
+
+    def complete(self) -> "Frame":
+        """The same, all of it made."""
+        for part in dataclasses.fields(self):
+            getattr(self, part.name)
+        return self
+
+    def __getstate__(self):
+        return dict(vars(self.complete()))
 
     def save(self, path):
         """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from copy import copy
+from dataclasses import replace
 from operator import is_
 
 from gpusim.backends import Device, open_device
@@ -126,7 +127,7 @@ class Simulator:
         sensor's, with a time that is given or the camera's: `expose(scene, last.exposure_time, last.gain)` keeps what
         was metered before. Raises BadData, DoesNotFit, OutOfRange.
         """
-        return self.program(scene, exposure_time, gain).exposure
+        return replace(self.program(scene, exposure_time, gain).exposure, is_rewritten=False)
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
         """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from gpusim.domain.errors import DeviceError
+from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.foreign import to_host
 from gpusim.domain.memory import Pinned, host_memory
 
@@ -75,6 +75,11 @@ class Device:
         """What may still be allocated in all [byte]: the host's free memory, for devices on the host."""
         return host_memory()
 
+    @property
+    def largest_array(self) -> int:
+        """What one array may take [byte]."""
+        return self.memory
+
     def array(self, values, dtype=np.float32):
         """Array of this device with these values; one that is there already is returned as it is.
 
@@ -107,6 +112,14 @@ class Device:
     def part(self, array, index: int):
         """A copy of `array[index]`, on the device."""
         return np.array(array[index])
+
+    def on_stream(self, stream):
+        """Inside the block, work on a CUDA stream of another library's, in turn with what that does there.
+
+        stream: its address, or an object with `__cuda_stream__`, `cuda_stream` (PyTorch) or `ptr` (CuPy). Raises
+        BadData for devices that have none.
+        """
+        raise BadData(f"{self.name} has no CUDA streams; wanted device warp:cuda:0")
 
     def pinned(self, shape, dtype=np.float32) -> Pinned:
         """Uninitialised array of the host that is copied to this device at the full rate of the bus."""

@@ -59,6 +59,10 @@ class OpenCLDevice(Taped):
     def memory(self):
         return super().memory if self.on_host else self.cl_device.global_mem_size
 
+    @property
+    def largest_array(self):
+        return self.cl_device.max_mem_alloc_size
+
     def _array(self, values, dtype):
         values = np.ascontiguousarray(values, dtype)
         if not values.size:  # OpenCL has no empty buffers

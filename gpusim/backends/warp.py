@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections import defaultdict
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -218,6 +219,19 @@ class WarpDevice(Taped):
     def _empty(self, shape, dtype):
         return self._as_shown(
             self._wp.empty(shape, dtype=self._wp.dtype_from_numpy(np.dtype(dtype)), device=self.wp_device))
+
+    @contextmanager
+    def on_stream(self, stream):
+        if not self.is_gpu:
+            super().on_stream(stream)
+        given = stream.__cuda_stream__()[1] if hasattr(stream, "__cuda_stream__") else getattr(
+            stream, "cuda_stream", getattr(stream, "ptr", stream))
+        if not isinstance(given, int):
+            raise BadData(f"CUDA stream: {name_of(stream)}, wanted an address, or an object with `__cuda_stream__`, "
+                          "`cuda_stream` or `ptr`")
+        own = self._wp.Stream(self.wp_device, cuda_stream=given or None)  # 0: CUDA's default stream
+        with self._wp.ScopedStream(own, sync_enter=True, sync_exit=True):  # in turn with our own
+            yield
 
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:

@@ -7,9 +7,10 @@ import numpy as np
 from gpusim.data.colorimetry import tables, xyz
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
-from gpusim.domain.content import Basis
+from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.foreign import described, type_of
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
@@ -42,13 +43,12 @@ def open_display(name: str) -> Display:
 def displayed(codes, display: Display) -> Scene:
     """The screen as a scene: the radiance of a picture on a display whose spectra are known, one sample per pixel.
 
-    codes: 8-bit, shape (rows, cols, 3), such as `Frame.rgb`. The scene's light is the display's white: radiance =
-    linear light of the three primaries times their spectra (Farrell & Wandell, section 3). For "srgb" the primaries are
-    those of `srgb_primaries` in D65. Raises BadData for another shape and for a display without spectra.
+    codes: uint8 or uint16, shape (rows, cols, 3), such as `Frame.rgb`, or an array of a device, which decodes them. The
+    scene's light is the display's white: radiance = linear light of the three primaries times their spectra (Farrell &
+    Wandell, section 3). For "srgb" the primaries are those of `srgb_primaries` in D65. Raises BadData for another shape
+    and for a display without spectra.
     """
-    codes = np.asarray(codes)
-    if codes.ndim != 3 or codes.shape[-1] != 3 or codes.dtype != np.uint8:
-        raise BadData(f"displayed picture: shape {codes.shape} of {codes.dtype}, wanted (rows, cols, 3) of uint8")
+    codes = described(codes, "displayed picture")
     if display.spectra is not None:
         spectra = photons_from_energy(display.spectra)
         white = Spectrum(spectra.wavelengths, spectra.values.sum(axis=0), f"white of {display.name}")
@@ -61,5 +61,5 @@ def displayed(codes, display: Display) -> Scene:
     else:
         raise BadData(f"display {display.name!r} has no spectra of its primaries; give Display(spectra=...), or use "
                       f"one of {', '.join(name for name in display_names() if name != 'display-p3')}")
-    light = np.moveaxis(display.decode(codes / 255), 2, 0).astype(np.float32)
-    return Scene(Basis(wavelengths, np.ascontiguousarray(light), shares), white, name=f"picture on {display.name}")
+    content = Picture(wavelengths, codes, shares, display.table(type_of(codes)))
+    return Scene(content, white, name=f"picture on {display.name}")

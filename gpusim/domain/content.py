@@ -1,4 +1,4 @@
-"""Samples of a scene and their spectra: a cube, a linear basis, or materials. What differs between them is here."""
+"""Samples of a scene and their spectra: a cube, a basis, materials or an encoded picture. What differs is here."""
 
 from dataclasses import dataclass, replace
 from math import prod
@@ -80,7 +80,10 @@ class Content:
         return np.dtype(np.float16 if type_of(getattr(self, name)) == np.float16 else np.float32)
 
     def on_host(self):
-        """The same with all samples in host memory, waited for; itself where they are there. Raises BadData."""
+        """The same with all samples in host memory, waited for, as the host reads it; itself where it is so.
+
+        Raises BadData.
+        """
         if all(isinstance(getattr(self, name), np.ndarray) for name in self.samples):
             return self
         return self.with_samples(lambda array: to_host(array, self.form))
@@ -157,11 +160,12 @@ class Content:
         """
         self._check_types(name)
         self._check_shapes(name)
-        if 0 in self.planes.shape:
-            raise BadData(f"{name}: zero-size scene {tuple(self.planes.shape)}")
+        samples = getattr(self, self.samples[-1])
+        if 0 in samples.shape:
+            raise BadData(f"{name}: zero-size scene {tuple(samples.shape)}")
         Spectrum(self.wavelengths, np.zeros(len(self.wavelengths)), name)  # checks the wavelengths
-        for label, array in (("samples", self.planes), *(("spectra", getattr(self, key)) for key in self.shared)):
-            if not is_seen(array):
+        for label, array in (("samples", samples), *(("spectra", getattr(self, key)) for key in self.shared)):
+            if not is_seen(array) or array.dtype.kind == "u":
                 continue
             low, high = float(array.min()), float(array.max())
             if not np.isfinite([low, high]).all():  # min and max carry NaN and infinities
@@ -173,7 +177,7 @@ class Content:
     def _check_types(self, name):
         for key in self.samples:
             array = getattr(self, key)
-            kind, is_light = type_of(array), array is self.planes
+            kind, is_light = type_of(array), key == self.samples[-1]
             if kind is None or kind.kind not in (NUMBERS if is_light else WHOLE):
                 wanted = "float32, float16 or another type of real numbers" if is_light else "uint16 or uint8"
                 raise BadData(f"{name}: {key} of type {kind or array.dtype}, wanted {wanted}")
@@ -308,3 +312,74 @@ class Materials(Content):
             raise BadData(f"{name}: spectra {self.spectra.shape} do not match {len(self.wavelengths)} wavelengths")
         if is_seen(self.ids) and self.ids.size and (self.ids.min() < 0 or self.ids.max() >= len(self.spectra)):
             raise OutOfRange(f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture(Content):
+    """Encoded numbers as cameras and decoders give them: pixel spectrum = sum_k curve[codes[k]] basis[k].
+
+    codes (rows, cols, K) uint8 or uint16, or (rows, cols) where K = 1: a device takes them as they are, and decodes
+    them. basis (K, L), not negative, at wavelengths (L,) [nm]. curve: light of every code, not negative, float32 (256,)
+    or (65536,). The host reads it as the Basis that it stands for (`on_host`), and what is made of its samples is one.
+    """
+
+    codes: np.ndarray
+    basis: np.ndarray
+    curve: np.ndarray
+    form: ClassVar[str] = "picture"
+    samples: ClassVar[tuple[str, ...]] = ("codes",)
+    shared: ClassVar[tuple[str, ...]] = ("basis", "curve")
+
+    def __post_init__(self):
+        super().__post_init__()
+        object.__setattr__(self, "curve", np.ascontiguousarray(self.curve, np.float32))
+
+    @property
+    def planes(self):
+        return self.on_host().planes
+
+    @property
+    def shape(self):
+        rows, cols = self.codes.shape[:2]
+        return rows, cols
+
+    @property
+    def nbytes(self):
+        return super().nbytes + 4 * len(self.basis) * prod(self.shape)  # and what they are decoded to
+
+    def stored_type(self, name):
+        kind = type_of(self.codes)
+        return np.dtype(np.uint8 if kind is None else kind.type)  # in the host's order of bytes
+
+    def on_host(self):
+        codes = to_host(self.codes, self.form).reshape(*self.shape, -1)
+        return Basis(self.wavelengths, np.take(self.curve, np.moveaxis(codes, -1, 0)), self.basis)
+
+    def with_planes(self, planes):
+        return self.on_host().with_planes(planes)
+
+    def take(self, rows, cols):
+        return self.on_host().take(rows, cols)
+
+    def behind(self, front, mask):
+        return self.on_host().behind(front.on_host(), mask)
+
+    def _check_types(self, name):
+        kind = type_of(self.codes)
+        if kind is None or kind.type not in (np.uint8, np.uint16):
+            raise BadData(f"{name}: codes of type {kind or self.codes.dtype}, wanted uint8 or uint16; give linear "
+                          "light as the planes (K, rows, cols) of a Basis")
+
+    def _check_shapes(self, name):
+        shape, count = tuple(self.codes.shape), len(self.basis)
+        if shape[2:] != (count,) and (len(shape) != 2 or count != 1):
+            raise BadData(f"{name}: codes of shape {shape}, wanted (rows, cols, {count}), channels last and no alpha: "
+                          f"codes[..., :{count}]")
+        if self.basis.shape != (count, len(self.wavelengths)):
+            raise BadData(f"{name}: basis {self.basis.shape} does not match {len(self.wavelengths)} wavelengths")
+        kind = self.stored_type("codes")
+        if self.curve.shape != (256**kind.itemsize,):
+            raise BadData(f"{name}: curve of shape {self.curve.shape}, wanted ({256**kind.itemsize},) for {kind}")
+        if not (np.isfinite(self.curve).all() and self.curve.min() >= 0):
+            raise BadData(f"{name}: curve from {self.curve.min():.3g} to {self.curve.max():.3g}, wanted finite light, "
+                          "not negative")

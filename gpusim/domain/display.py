@@ -1,5 +1,6 @@
 """The display that the picture is made for."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +71,10 @@ class Display:
             light = size ** float(self.curve)
         return np.copysign(light, values)
 
+    def table(self, kind) -> np.ndarray:
+        """`decode` of every code, float32: shape (65536,) for those of the type uint16, (256,) for uint8."""
+        return _table(self.curve, 65535 if np.dtype(kind).type is np.uint16 else 255)
+
     def encode(self, light) -> np.ndarray:
         """The inverse of `decode`."""
         size = np.abs(light)
@@ -87,6 +92,13 @@ class Display:
     def rgb_from_xyz(self) -> np.ndarray:
         """CIE XYZ to linear RGB, (3, 3)."""
         return np.linalg.inv(self.xyz_from_rgb)
+
+
+@functools.lru_cache(maxsize=16)
+def _table(curve, most):
+    table = Display(curve=curve).decode(np.arange(most + 1) / most).astype(np.float32)
+    table.flags.writeable = False  # all share it
+    return table
 
 
 def _xyz(chromaticities):

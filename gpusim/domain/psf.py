@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -82,6 +81,8 @@ class PointSpread:
             return spreads
         (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
+        from scipy.ndimage import map_coordinates  # half a second, and seldom needed
+
         # back into the table's frame, where the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
         turned = np.stack([map_coordinates(one, from_, order=3, mode="constant") for one in spreads])

@@ -34,7 +34,7 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says 
 
 def write_npz(path, scene: Scene):
     """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
-    content = scene.content
+    content = scene.content.on_host()
     if scene.layers:
         raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: an archive holds one picture and its depth")
     arrays: dict = {"wavelengths_nm": content.wavelengths}

@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Basis, Materials
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.files import file_size, named, open_file, reading
@@ -31,7 +32,7 @@ def read_photo(path) -> Basis | Materials:
     with named(path):
         samples = read_samples(path)
         white = np.iinfo(samples.dtype).max
-        linear = linear_from_srgb(np.arange(white + 1) / white)[samples[..., :3 if samples.shape[-1] > 2 else 1]]
+        linear = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[samples[..., :3 if samples.shape[-1] > 2 else 1]]
         if samples.shape[-1] in ALPHA:
             linear *= samples[..., -1:] / white
         if linear.shape[-1] == 1:
@@ -49,11 +50,6 @@ def lift(linear) -> Basis:
     """
     primaries = srgb_primaries()
     return Basis(primaries.wavelengths, np.ascontiguousarray(linear, np.float32), primaries.values)
-
-
-def linear_from_srgb(values) -> np.ndarray:
-    """Decode sRGB values, 0 .. 1, to linear ones. Source: IEC 61966-2-1."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def read_samples(path) -> np.ndarray:

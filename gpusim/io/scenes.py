@@ -1,13 +1,19 @@
-"""From a chart's name or a file to a Scene."""
+"""From a chart's name, a file or a frame of a video to a Scene."""
 
 import dataclasses
+import functools
 from pathlib import Path
+
+import numpy as np
 
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.domain.content import Cube
+from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.content import Cube, Picture
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.domain.foreign import described, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.exr import read_exr
@@ -50,6 +56,29 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
+
+
+def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options) -> Scene:
+    """Lift encoded pixels, such as a video's frame, to reflectances as `open_scene` does a photograph's.
+
+    codes: uint8 or uint16, RGB (rows, cols, 3) or grey (rows, cols), in host memory or a device's (see `Picture`). They
+        go to the device as they are, and are decoded there; neither is done before the first frame.
+    light: name for `illuminant`. luminance: of white in it [cd m-2]. curve: what each code stands for, white 1: float32
+        (256,) or (65536,) by the type of the codes; by default sRGB's (IEC 61966-2-1).
+    options: as in Scene, such as border. One plan serves all pictures of one size, type, light and options.
+    Raises BadData, OutOfRange, UnknownName.
+    """
+    codes = described(codes, "picture codes")
+    primaries = srgb_primaries()
+    if curve is None:
+        curve = DISPLAYS["srgb"].table(type_of(codes))
+    basis = primaries.values if len(codes.shape) != 2 else np.ones((1, len(primaries.wavelengths)))
+    return Scene(Picture(primaries.wavelengths, codes, basis, curve), _white(light, luminance), name=name, **options)
+
+
+@functools.lru_cache(maxsize=16)
+def _white(light, luminance):
+    return white_radiance(illuminant(light), luminance)
 
 
 def _read(path, white, bands):

@@ -66,10 +66,10 @@ def pixel_sums(scene: Scene, weights) -> np.ndarray:
 def _seen(scene, weights):
     """Sums over wavelength of all samples in the frame, (3, rows, cols); what stands in front hides what is behind."""
     middle = np.s_[scene.margin : -scene.margin or None, scene.margin : -scene.margin or None]
-    planes = scene.content.weighted(weights, middle)
+    planes = scene.content.on_host().weighted(weights, middle)
     for layer in scene.layers[::-1]:
         alpha = np.asarray(layer.alpha, np.float64)[middle]
-        planes = planes * (1 - alpha) + layer.content.weighted(weights, middle) * alpha
+        planes = planes * (1 - alpha) + layer.content.on_host().weighted(weights, middle) * alpha
     return planes
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 from scipy.special import jv
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -86,6 +85,8 @@ class DepthPlan:
         nearer = self.layer < layer
         if not nearer.any():
             return content, self.layer == layer, self.confusion
+        from scipy.ndimage import distance_transform_edt  # half a second, and seldom needed
+
         rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True)
         return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 

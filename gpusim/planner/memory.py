@@ -7,14 +7,14 @@ from gpusim.planner.models.spectral import Planes
 from gpusim.planner.question import Question
 
 
-def bytes_needed(rows, cols, period, content, table, mix, transfers, bands, channels, parts):
+def bytes_needed(rows, cols, period, stored, table, mix, transfers, bands, channels, parts):
     """Device memory of a frame [byte], the arrays that live at the same time added up.
 
-    parts: size of a transfer table over that of a real quarter.
+    stored: of the scene's samples. parts: size of a transfer table over that of a real quarter.
     """
     frame, padded = rows * cols, prod(period)
     quarter = (period[0] // 2 + 1) * (period[1] // 2 + 1)
-    total = content.nbytes + frame * (4 * channels + 4 + 2 + 12 + 3)
+    total = stored + frame * (4 * channels + 4 + 2 + 12 + 3)
     if mix is not None:
         planes = mix.shape[1]
         total += 4 * frame * (planes if table is not None else 0)
@@ -29,8 +29,9 @@ def bytes_of(question: Question, period: tuple[int, int], planes: Planes, depth:
     period: of the transforms [sample].
     """
     (rows, cols), (channels, bands) = question.size, question.weights.shape
-    total = bytes_needed(rows, cols, period, question.content, planes.table, planes.mix, planes.transfers, bands,
-                         channels, 1 if question.optics.is_symmetric and not any(question.moved) else 4)
+    stored = max(question.content.nbytes, question.scene.content.nbytes)  # of a picture the codes, too
+    total = bytes_needed(rows, cols, period, stored, planes.table, planes.mix, planes.transfers, bands, channels,
+                         1 if question.optics.is_symmetric and not any(question.moved) else 4)
     if depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         total += 16 * channels * rows * cols * len(depth.kernels) * depth.layers
     if planes.varying is not None:  # maps in float64 and float32, planes times maps, spectra

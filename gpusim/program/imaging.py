@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Picture
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
@@ -18,6 +19,7 @@ from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.collect import collect
+from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.widen import widen
@@ -59,13 +61,16 @@ class Imaging:
 
     def stored(self, content, window=WHOLE):
         """A content's samples on the device, in a window if they come from the host: entries, and which each has."""
-        device = self.device
+        device, is_encoded = self.device, isinstance(content, Picture)
 
         def cut(name):
             array = getattr(content, name)
-            array = array[(..., *window)] if isinstance(array, np.ndarray) else array
+            array = array[window if is_encoded else (..., *window)] if isinstance(array, np.ndarray) else array
             return device.samples(array, content.stored_type(name))
 
+        if is_encoded:
+            curve = self._kept("curve", content.curve, lambda: device.array(content.curve))
+            return decode(cut("codes"), curve, device=device), None
         *labels, planes = [cut(name) for name in content.samples]
         return planes, labels[0] if labels else None
 

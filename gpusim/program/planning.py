@@ -1,5 +1,6 @@
 """The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
 
+from dataclasses import replace
 from math import ceil
 
 from gpusim.domain.errors import DoesNotFit, OutOfRange
@@ -8,6 +9,7 @@ from gpusim.optics.lengths import LENGTHS
 from gpusim.planner.border import BORDER_REACH
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan, plan
+from gpusim.program.memory import bytes_needed, largest_array
 
 MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
 
@@ -38,7 +40,11 @@ def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
     simulator.readout.output_shape(scene.shape)
     made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
                 fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts)
-    needed = made.bytes_needed * (4 if device.kind == "numpy" else 1)  # float64 and complex temporaries
+    needed, largest = bytes_needed(made, device), largest_array(made)
+    needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
+    what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"
     if needed > device.memory:
-        raise DoesNotFit(f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})", needed, device.memory, device.name)
-    return made
+        raise DoesNotFit(what, needed, device.memory, device.name)
+    if largest > device.largest_array:
+        raise DoesNotFit(f"one array of {what}", largest, device.largest_array, device.name)
+    return replace(made, bytes_needed=needed)

@@ -67,7 +67,7 @@ class Before:
 
     def __init__(self, device):
         self.kept = Kept(device)
-        self.plan: tuple[Plan, tuple] | None = None  # and what it was planned by
+        self.plan: tuple | None = None  # a Plan, and a Simulator that it is for
         self.looked: tuple = ()  # what was last looked at
 
 
@@ -117,12 +117,13 @@ class Program:
         It is made anew for another kind of scene, and for a camera that asks for it. Other scenes of the same kind are
         framed by the plan that is there: see `Plan.serves`.
         """
-        by, scene, before = planned_by(self.simulator), self.scene, self.before
-        if before.plan is None or not same(before.plan[1], by) or not (
-                before.plan[0].scene is scene or before.plan[0].serves(scene)):
-            facts = before.kept("facts", One(scene), self._facts)
-            before.plan = self.simulator.plan(scene, facts), by
-        return before.plan[0]
+        simulator, scene, before = self.simulator, self.scene, self.before
+        plan, by = before.plan or (None, None)
+        if plan is None or not (plan.scene is scene or plan.serves(scene)) or not (
+                by is simulator or same(planned_by(by), planned_by(simulator))):
+            plan = simulator.plan(scene, before.kept("facts", One(scene), self._facts))
+        before.plan = plan, simulator
+        return plan
 
     def _facts(self):
         """Facts of the scene, whose samples the host reads for them."""
@@ -144,7 +145,8 @@ class Program:
         start = time.perf_counter()
         with self.simulator.device.timed() as ms:
             exposure = self._exposed()
-        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (time.perf_counter() - start))
+        wall = 1e3 * (time.perf_counter() - start)
+        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
 
     def _exposed(self):
         """The exposure without its times."""

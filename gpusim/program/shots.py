@@ -2,12 +2,13 @@
 
 import time
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
-from gpusim.frame import Exposure, Frame
+from gpusim.frame import Exposure, Frame, Later
 from gpusim.kernels.sensor.noise import redraw
 from gpusim.planner.rendering import transforms_of, without_tone
 from gpusim.planner.speed import iso_speed
@@ -108,19 +109,27 @@ class Shots:
         return self._kept("at once", of, lambda: self.developer.in_one_pass(raw, rendering))
 
     def frame(self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True) -> Frame:
-        """One picture with its report. error: of the mean electrons, where known. first: of this exposure."""
-        exposure, device, start = self.exposure, self.simulator.device, time.perf_counter()
-        with device.timed() as ms:
-            raw = self.raw(seed, frame)
-            shown, rgb, rendering = self.developed(raw)
-        of = self._kept.one(exposure.mean), self.simulator.readout.sensor
-        mean = np.array(self._kept("mean of pixels", of, self._mean))
-        raw, shown, rgb = (np.array(device.numpy(array)) for array in (raw, shown, rgb))
-        wall = 1e3 * (time.perf_counter() - start) + (exposure.wall_ms if first else 0.0)
-        times = {**exposure.ms, **ms} if first else ms
-        return Frame(exposure.camera, exposure.exposure_time, rendering, mean, exposure.layered(raw), shown, rgb,
-                     self._report(rendering, times, wall, seed, frame, error), exposure.blur,
-                     None if exposure.shading is None else np.array(exposure.shading))
+        """One picture with its report. error: of the mean electrons, where known. first: of this exposure.
+
+        It is made as far as it is asked for, unless a program will write to the exposure's arrays before.
+        """
+        exposure, shot = self.exposure, _Shot(self, seed, frame, first)
+
+        def report():
+            wanted.rendering, wanted.mean, wanted.raw, wanted.linear, wanted.rgb  # noqa: B018  for their times
+            return self._report(wanted.rendering, shot.ms, shot.wall_ms, seed, frame, error)
+
+        shading = None if exposure.shading is None else np.array(exposure.shading)
+        wanted = Frame(exposure.camera, exposure.exposure_time, Later(lambda: shot.developed[2]),
+                       Later(lambda: shot.timed(self._mean_of_pixels)),
+                       Later(lambda: exposure.layered(shot.copied(shot.raw))),
+                       Later(lambda: shot.copied(shot.developed[0])), Later(lambda: shot.copied(shot.developed[1])),
+                       Later(report), exposure.blur, shading)
+        return wanted.complete() if exposure.is_rewritten else wanted
+
+    def _mean_of_pixels(self):
+        of = self._kept.one(self.exposure.mean), self.simulator.readout.sensor
+        return np.array(self._kept("mean of pixels", of, self._mean))
 
     def _mean(self):
         exposure, shape = self.exposure, self.exposure.mean.shape
@@ -164,3 +173,37 @@ class Shots:
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": simulator.device.name, "kind": simulator.device.kind}, number, seed, stages, plan.predicted,
             plan.left_out, error, simulator.tolerance, notes, plan.not_met, wall)
+
+
+class _Shot:
+    """One picture in the making. ms: milliseconds per stage, wall_ms: in all, so far.
+
+    shots: of its exposure, whose times belong to its `first` picture.
+    """
+
+    def __init__(self, shots: Shots, seed: int, frame: int, first: bool):
+        self._shots, self._seed, self._frame, exposure = shots, seed, frame, shots.exposure
+        self.ms, self.wall_ms = (dict(exposure.ms), exposure.wall_ms) if first else ({}, 0.0)
+
+    @cached_property
+    def raw(self):
+        return self.timed(lambda: self._shots.raw(self._seed, self._frame))
+
+    @cached_property
+    def developed(self):
+        """As `Shots.developed`."""
+        raw = self.raw
+        return self.timed(lambda: self._shots.developed(raw))
+
+    def copied(self, array):
+        """Its values, NumPy."""
+        return self.timed(lambda: np.array(self._shots.simulator.device.numpy(array)))
+
+    def timed(self, make):
+        start = time.perf_counter()
+        with self._shots.simulator.device.timed() as ms:
+            value = make()
+        for stage, spent in ms.items():
+            self.ms[stage] = self.ms.get(stage, 0.0) + spent
+        self.wall_ms += 1e3 * (time.perf_counter() - start)
+        return value

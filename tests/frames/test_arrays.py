@@ -1,10 +1,11 @@
 """Arrays of devices seen by others, and arrays of others taken by devices."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from devices import ALL, ALL_KINDS, DEVICES
+from devices import ALL, ALL_KINDS, DEVICES, GPUS
 from foreign_arrays import (
     CAMERA,
     LIGHT,
@@ -389,8 +390,44 @@ def test_the_example_of_the_readme_runs():
     exec(text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0], names)
     assert names["picture"].shape == names["codes"].shape == (480, 640, 3)
     assert names["picture"].std() > 10 and names["half"].content.values.dtype == np.float16
+    assert names["again"].content.codes is names["codes"]
 
 
 def test_kinds_of_memory():
     assert dlpack_kind(Tensor(cube(), kind=2)) == 2 and dlpack_kind(ByInterface()) is None
     assert to_host([1, 2], "test").tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("device", [name for name in ALL if name not in GPUS or not name.startswith("warp")])
+def test_streams_are_cudas_alone(device):
+    with pytest.raises(BadData, match="has no CUDA streams; wanted device warp:cuda:0"):
+        open_device(device).on_stream(0).__enter__()
+
+
+@pytest.mark.skipif("warp:cuda:0" not in GPUS, reason="no CUDA device")
+def test_work_is_in_turn_with_a_callers_stream(device="warp:cuda:0"):
+    """A tensor is written late on a stream that nobody waits for; the frame reads what was written."""
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    picture = gs.chart("deadleaves", size=(640, 480))
+    bands = picture.content.bands_at(slice(None)).astype(np.float32)
+    simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)
+    cube, late = torch.zeros(bands.shape, device="cuda"), torch.from_numpy(bands).cuda()
+    scene = replace(picture, content=gs.Cube(picture.wavelengths, cube))
+    program = simulator.program(replace(picture, content=gs.Cube(picture.wavelengths, late)), 0.01)
+    wanted = np.array(simulator.device.numpy(program.raw(seed=1)))
+    busy = torch.randn(4096, 4096, device="cuda")
+    torch.cuda.synchronize()
+    for stream in (torch.cuda.Stream(), torch.cuda.default_stream()):
+        cube.zero_()
+        torch.cuda.synchronize()
+        with torch.cuda.stream(stream):
+            for _ in range(20):
+                busy = torch.tanh(busy @ busy)
+            cube.copy_(late)
+            with simulator.device.on_stream(stream):
+                raw = program.update(scene=replace(scene, name=str(stream))).raw(seed=1)
+            found = torch.from_dlpack(raw).clone().view(torch.int16)
+        stream.synchronize()
+        np.testing.assert_array_equal(found.cpu().numpy().view(np.uint16), wanted)
+    with pytest.raises(BadData, match="CUDA stream: "), simulator.device.on_stream("first"):
+        pass

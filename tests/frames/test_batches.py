@@ -149,6 +149,6 @@ def test_refuses(monkeypatch):
     binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
         batch(scenes, camera=[CAMERA, binned, CAMERA], exposure_time=0.01)
-    monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed * 4 + 1000)
+    monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000)
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)

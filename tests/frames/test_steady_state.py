@@ -91,6 +91,8 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
     "fine": (PHONE, "fine", {}),
     "cube, fused": (camera_with(**FIXED), "cube", {"tolerance": 4e-4}),
     "basis, fused": (camera_with(**FIXED), "basis", {"tolerance": 4e-4}),
+    "picture": (camera_with(**FIXED), "picture", {"tolerance": 4e-4}),
+    "picture, surroundings": (PHONE, "surrounded picture", {}),
     "materials, fused": (camera_with(**FIXED), "materials", {"tolerance": 4e-4}),
     "without transforms": (PHONE, "materials", {"tolerance": 4e-4, "fft_free": True}),
     "without transforms, surroundings": (PHONE, "surrounded", {"tolerance": 4e-4, "fft_free": True}),
@@ -103,6 +105,9 @@ def first_scene(kind):
     """A scene of the kind."""
     if kind in ("points", "fine points"):
         return gs.chart("points", size=SIZE, count=3, highest=1e5, samples_per_pixel=2 if "fine" in kind else 1)
+    if "picture" in kind:
+        codes = np.random.default_rng(1).integers(60, 220, (SIZE[1], SIZE[0], 3), np.uint8)
+        return gs.picture(codes, **({"border": "scene", "margin": 6} if "surrounded" in kind else {}))
     scene = gs.chart("deadleaves", size=SIZE, samples_per_pixel=2 if kind == "fine" else 1,
                      wavelengths=np.linspace(420, 680, 3) if kind in ("bands", "depth") else None)
     if kind in ("materials", "fine"):
@@ -122,6 +127,9 @@ def first_scene(kind):
 def scenes_of(kind, device):
     """Scenes of one kind, a little brighter each, whose samples are on the device where that is usual."""
     scene = first_scene(kind)
+    if "picture" in kind:
+        codes = [scene.content.codes + np.uint8(number) for number in range(FRAMES)]
+        return [replace(scene, content=replace(scene.content, codes=device.array(one, np.uint8))) for one in codes]
     made = [replace(scene, content=scene.content.with_planes(scene.content.planes * np.float32(1 + 0.02 * number)))
             for number in range(FRAMES)]
     if kind in ("depth", "points", "fine points"):

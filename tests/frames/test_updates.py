@@ -203,3 +203,31 @@ def test_keys_are_compared_by_what_they_say():
                               (spectrum, replace(spectrum, values=2 * spectrum.values), False),
                               (object(), object(), False)):
         assert same(one, other) is equal
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
+    """Raw values alone need no processor; the report needs all, and frames of a program are made at once."""
+    simulator, scene = gs.Simulator(gs.open_camera("phone"), device=device), gs.chart("ramp", size=(48, 36))
+    whole = simulator(scene, seed=3).complete()
+    assert {stage.stage for stage in whole.report.stages if stage.ms} >= {"sensor.noise", "display.encode"}
+
+    def stages(*parts):
+        frame = simulator(scene, seed=3)
+        with simulator.device.timed() as ms:
+            for part in parts:
+                np.testing.assert_array_equal(getattr(frame, part), getattr(whole, part))
+        return {*ms}
+
+    assert stages() == set()
+    assert stages("mean") == set()
+    assert stages("raw", "raw") == {"sensor.noise"}
+    assert {"processor.color", "display.encode"} <= stages("rgb")
+    program = simulator.program(scene, 0.01)
+    first = program.frame(seed=1)
+    shot = next(simulator.shoot(program.exposure, seed=1))
+    values = first.raw.copy(), first.rgb.copy()
+    program.update(scene=gs.chart("flat", size=(48, 36)), exposure_time=0.02).frame(seed=2)
+    for frame in (first, shot):
+        np.testing.assert_array_equal(frame.raw, values[0])
+        np.testing.assert_array_equal(frame.rgb, values[1])

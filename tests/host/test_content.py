@@ -1,9 +1,9 @@
-"""Three forms of one content say the same of it."""
+"""All forms of one content say the same of it."""
 
 import numpy as np
 import pytest
 
-from gpusim.domain.content import Basis, Cube, Materials
+from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene, unit_light
 
@@ -15,8 +15,13 @@ SHADING = RANDOM.uniform(0.2, 2, (5, 6)).astype(np.float32)
 # every sample is one spectrum times a number
 TRUTH = np.moveaxis(SHADING[..., None].astype(float) * SPECTRA[IDS], -1, 0)
 ONE_OF_FOUR = np.stack([(IDS == k) * SHADING for k in range(4)]).astype(np.float32)
+# every sample's shading has a code of its own
+CODES = (IDS[..., None] == np.arange(4)) * (200 * np.arange(1, 31).reshape(5, 6, 1)).astype(np.uint16)
+CURVE = np.zeros(2**16, np.float32)
+CURVE[200 * np.arange(1, 31)] = SHADING.ravel()
 FORMS = {"cube": Cube(WAVELENGTHS, TRUTH.astype(np.float32)), "basis": Basis(WAVELENGTHS, ONE_OF_FOUR, SPECTRA),
-         "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA)}
+         "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA),
+         "picture": Picture(WAVELENGTHS, CODES, SPECTRA, CURVE)}
 ROUNDING = 2e-7  # float32 samples, once more in sums that are float32: 2 x 6e-8 and the sum's own
 
 
@@ -70,17 +75,23 @@ def cube(content):
 def test_what_is_alike(content):
     for other in FORMS.values():
         assert content.is_like(other) is (other is content)
-    assert content.is_like(content.with_planes(2 * content.planes))
+    if content.form == "picture":  # its light in other numbers is a basis
+        assert content.with_planes(2 * content.planes).is_like(FORMS["basis"])
+        assert content.is_like(content.with_samples(np.flip))
+        assert not content.is_like(Picture(WAVELENGTHS, CODES, SPECTRA, CURVE / 2))
+    else:
+        assert content.is_like(content.with_planes(2 * content.planes))
     assert (content.labels is None) is (content.form != "materials")
     assert content.is_spectral is (content.form == "cube")
-    # float32 samples, and ids as the 16 bits that devices take
-    assert content.nbytes == {"cube": 4 * 7 * 30, "basis": 4 * 4 * 30, "materials": 6 * 30}[content.form]
+    # float32 samples, and ids as the 16 bits that devices take; codes of 16 bits, and what they are decoded to
+    assert content.nbytes == {"cube": 4 * 7 * 30, "basis": 4 * 4 * 30, "materials": 6 * 30,
+                              "picture": (2 + 4) * 4 * 30}[content.form]
 
 
 def test_bad_content(content):
     with pytest.raises(BadData, match="NaN or infinite samples"):
         content.with_planes(content.planes * np.float32(np.nan)).check("s")
-    if content.form != "basis":
+    if content.form in ("cube", "materials"):
         with pytest.raises(BadData, match="negative samples"):
             content.with_planes(-content.planes).check("s")
     with pytest.raises(BadData, match=r"zero-size|do not match|must be one"):
@@ -88,7 +99,51 @@ def test_bad_content(content):
 
 
 def test_what_is_no_content():
-    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis or Materials"):
+    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis, Materials or Picture"):
         Scene(TRUTH, unit_light(WAVELENGTHS))
     with pytest.raises(OutOfRange, match=r"material id = 9: allowed is 0 \.\. 3"):
         Materials(WAVELENGTHS, np.full((5, 6), 9), SHADING, SPECTRA).check("s")
+
+
+def test_a_picture_is_read_by_the_host_as_a_basis():
+    content, basis = FORMS["picture"], FORMS["basis"]
+    for one in (content, Picture(WAVELENGTHS, CODES.astype(">u2"), SPECTRA, CURVE.astype(float))):
+        read = one.on_host()
+        assert isinstance(read, Basis) and read.coefficients.flags.c_contiguous
+        assert read.coefficients.dtype == np.float32 and one.stored_type("codes") == np.uint16
+        np.testing.assert_array_equal(read.coefficients, basis.coefficients)
+    grey = Picture(WAVELENGTHS, CODES[..., 0], SPECTRA[:1], CURVE)
+    assert grey.shape == (5, 6)
+    np.testing.assert_array_equal(grey.planes, basis.coefficients[:1])
+    assert basis.on_host() is basis
+
+
+def curve(*first):
+    return np.concatenate([first, np.ones(256 - len(first))])
+
+
+BYTES = CODES.astype(np.uint8)
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    ((BYTES / 255, SPECTRA, curve()), "codes of type float64, wanted uint8 or uint16; give linear light as the planes"),
+    ((BYTES.astype(int), SPECTRA, curve()), "codes of type int64"),
+    ((BYTES[..., :3], SPECTRA, curve()), r"codes of shape \(5, 6, 3\), wanted \(rows, cols, 4\), channels last"),
+    ((BYTES, SPECTRA[:3], curve()), r"codes of shape \(5, 6, 4\), .* no alpha: codes\[..., :3\]"),
+    ((BYTES[..., 0], SPECTRA, curve()), r"codes of shape \(5, 6\), wanted \(rows, cols, 4\)"),
+    ((BYTES[..., None], SPECTRA[:1], curve()), r"codes of shape \(5, 6, 4, 1\)"),
+    ((BYTES[0, 0, :1], SPECTRA[:1], curve()), r"codes of shape \(1,\)"),
+    ((BYTES, SPECTRA[:, :5], curve()), r"basis \(4, 5\) does not match 7 wavelengths"),
+    ((BYTES, SPECTRA, CURVE), r"curve of shape \(65536,\), wanted \(256,\) for uint8"),
+    ((CODES, SPECTRA, curve()), r"curve of shape \(256,\), wanted \(65536,\) for uint16"),
+    ((BYTES, SPECTRA, curve(-0.5)), "curve from -0.5 to 1, wanted finite light"),
+    ((BYTES, SPECTRA, curve(np.nan)), "curve from nan to nan"),
+    ((BYTES, SPECTRA, curve(np.inf)), "curve from 1 to inf"),
+    ((BYTES, -SPECTRA, curve()), "negative spectra"),
+    ((BYTES, SPECTRA * np.nan, curve()), "NaN or infinite spectra"),
+    ((BYTES[:0], SPECTRA, curve()), r"zero-size scene \(0, 6, 4\)"),
+])
+def test_what_is_no_picture(content, words):
+    with pytest.raises(BadData, match=rf"^s: .*{words}") as caught:
+        Picture(WAVELENGTHS, *content).check("s")
+    assert "\n" not in str(caught.value)

@@ -22,7 +22,7 @@ from gpusim.io.dng import write_dng
 from gpusim.io.exr import read_exr, write_rgb_exr, write_spectral_exr
 from gpusim.io.images import write_png
 from gpusim.io.npz import write_npz
-from gpusim.io.scenes import mean_luminance, open_scene
+from gpusim.io.scenes import mean_luminance, open_scene, picture
 
 WAVES = np.array([400.0, 500.0, 650.0])
 RANDOM = np.random.default_rng(1)
@@ -502,6 +502,27 @@ def test_photo_is_linear_srgb_on_three_primaries(tmp_path):
     white = scene.content.coefficients[:, 0, 0] @ scene.content.basis
     np.testing.assert_allclose(white, 1, rtol=0, atol=1e-15)  # the radiance of white is that of the light
     np.testing.assert_array_equal(scene.illuminant.values, white_radiance(illuminant("D65"), 100.0).values)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_a_picture_is_the_photograph_of_its_codes(tmp_path, kind):
+    """Every code by the standard's formula, rounded to float32 once: 2^-24, and the formula's own float64."""
+    count = np.iinfo(kind).max + 1
+    every = np.stack([np.arange(count), np.arange(count)[::-1], np.roll(np.arange(count), 7)], -1).astype(kind)
+    pixels = every.reshape(16, -1, 3)
+    (tmp_path / "a.png").write_bytes(png(pixels, 8 * pixels.itemsize, 2))
+    photo, scene = open_scene(tmp_path / "a.png"), picture(pixels)
+    np.testing.assert_array_equal(scene.content.planes, photo.content.coefficients)
+    wanted = decoded(pixels / (count - 1)).transpose(2, 0, 1)
+    np.testing.assert_allclose(scene.content.planes, wanted, rtol=2.0**-24 + 1e-14)
+    assert scene.content.is_like(picture(pixels[:1]).content)
+    np.testing.assert_array_equal(scene.content.basis, photo.content.basis)
+    for name in ("values", "wavelengths"):
+        np.testing.assert_array_equal(getattr(scene.illuminant, name), getattr(photo.illuminant, name))
+    relit = open_scene(tmp_path / "a.png", light="A", luminance=20)
+    np.testing.assert_array_equal(picture(pixels, light="A", luminance=20).illuminant.values, relit.illuminant.values)
+    write_npz(tmp_path / "a.npz", scene)  # as the basis that it stands for
+    np.testing.assert_array_equal(open_scene(tmp_path / "a.npz").content.coefficients, photo.content.coefficients)
 
 
 def test_photo_reproduces_its_colours_in_d65(tmp_path):

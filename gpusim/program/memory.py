@@ -1,0 +1,96 @@
+"""Device memory that a frame takes, from the light to display codes: the arrays that a program keeps, added up."""
+
+from math import prod
+
+from gpusim.backends import Device
+from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.kernels.common.fft import pitch_of, room
+from gpusim.kernels.optics.blur import BATCH
+from gpusim.planner.plan import Plan
+
+
+def bytes_needed(plan: Plan, device: Device) -> int:
+    """Memory of a frame on a device [byte]; SciPy's transforms count where their memory is the device's.
+
+    The sum of what each stage says that it allocates; constants of a few thousand bytes are left out.
+    """
+    scene, content, samples = plan.scene, plan.content, prod(plan.content.shape)
+    total = max(content.nbytes, scene.content.nbytes)  # of a picture the codes, too
+    planes = len(content.entry_spectra) if plan.table is None else len(plan.table)
+    if plan.table is not None:
+        total += 4 * planes * samples
+    if plan.distortion is not None:
+        total += 4 * planes * samples
+    if plan.mix is not None:
+        total += _tables(plan) + _blur(plan, device, planes, content.shape)
+    if plan.falloff is not None:
+        total += 4 * len(plan.weights) * prod(scene.shape)
+    if plan.depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
+        total += 16 * len(plan.weights) * samples * len(plan.depth.kernels) * plan.depth.layers
+    if plan.varying is not None:
+        total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
+        total += plan.varying.bytes_of_tiles(len(plan.weights))
+    return int(total + _sensor(plan) + _processor(plan))
+
+
+def largest_array(plan: Plan) -> int:
+    """Memory of the largest array of the content, the planes or the transfer tables [byte]."""
+    content, samples = plan.content, prod(plan.content.shape)
+    stored = [prod(getattr(content, name).shape) * content.stored_type(name).itemsize for name in content.samples]
+    planes = 0 if plan.table is None else 4 * len(plan.table) * samples
+    return max(*stored, planes, _tables(plan) if plan.mix is not None else 0)
+
+
+def _tables(plan):
+    """Transfer tables of the wavelengths, and of the planes made of them: real quarters, or complex halves."""
+    parts = 1 if plan.camera.optics.is_symmetric and not any(plan.camera.sensor.displacement) else 4
+    quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
+    combined = 0 if plan.transfers is None else prod(plan.transfers.shape[:2])
+    return 4 * parts * quarter * (len(plan.q) + combined)
+
+
+def _blur(plan, device, planes, shape):
+    """Spectra, their sums, and what becomes of them."""
+    (rows, cols), (high, wide), channels = shape, plan.period, len(plan.weights)
+    if plan.fft_free:
+        return 4 * (planes + channels) * rows * cols * 2
+    by_host = device.on_host or room(max(plan.period)) > device.local_bytes
+    spectrum, batches = 8 * high * pitch_of(device, wide), [min(BATCH, planes - first)
+                                                           for first in range(0, planes, BATCH)]
+    if by_host:  # planes with their borders, and SciPy's spectra of one batch at a time
+        forward = 4 * high * wide * sum(batches) + spectrum * batches[0]
+    elif plan.folded:
+        forward = 8 * batches[0] * (high // 2 + 1) * (cols + cols % 2)
+    else:
+        forward = sum(batches) * (8 * rows * pitch_of(device, wide) + spectrum)
+    if plan.folded:
+        cfa = plan.camera.sensor.cfa_indices
+        phases = 8 * cfa.size * (high // cfa.shape[0] // (1 if by_host else 2) + 1) * (
+            wide // cfa.shape[1] // (2 if by_host else 1) + 1)
+        return forward + phases + (4 * high * wide if by_host else 0) + 4 * prod(plan.scene.samples)
+    return forward + channels * (spectrum + 4 * high * wide + 4 * prod(plan.scene.samples))
+
+
+def _sensor(plan):
+    """The mosaic of the channels, mean electrons, this chip's patterns and its digital numbers."""
+    sensor, chip = plan.camera.sensor, plan.camera.sensor.noise
+    layers = len(sensor.channels) if sensor.stacked else 1
+    pixels = layers * prod(plan.scene.shape)
+    response = bool(chip.prnu or chip.row_prnu or chip.column_prnu or chip.dead_pixels)
+    dark = bool(chip.hot_pixels and chip.hot_current)
+    offset = bool(chip.dsnu or chip.row_dsnu or chip.column_dsnu)
+    traps = bool(chip.telegraph_pixels and chip.telegraph)
+    floats = 1 + response + dark + (response or dark) + offset + traps
+    if plan.mix is None or not plan.folded:
+        floats += 1  # rates
+    return pixels * (4 * floats + (4 if sensor.bits == FLOAT_BITS else 2))
+
+
+def _processor(plan):
+    """Corrected mosaics, camera values, linear and encoded colours."""
+    sensor, processor = plan.camera.sensor, plan.camera.processor
+    pixels = prod(plan.scene.shape) // prod(sensor.binning)
+    corrections = (sensor.bits == FLOAT_BITS) + (processor.defects != "none") + bool(processor.denoise)
+    scratch = {"adaptive": 2, "best": 28, "learned": 6}.get(processor.demosaic, 0)
+    channels = 3 if processor.table is not None else len(sensor.channels)
+    return pixels * (2 * (corrections + processor.shading) + 4 * bool(processor.denoise) + scratch + 4 * channels + 15)
