@@ -70,6 +70,8 @@ class Arriving(Transfer):
 class Copy:
     """A copy between two arrays in turn with the kernels."""
 
+    args = ()
+
     def __init__(self, device, target, source, count, start, to):
         self.device, self.target, self.source, size = device, target, source, source.dtype.itemsize
         self.stage, self.name = device._clock.charged or "copies", "copy"

@@ -130,6 +130,8 @@ class _Transfer(Transfer):
 class _Copy:
     """A copy between two arrays in turn with the kernels."""
 
+    args = ()
+
     def __init__(self, device, *what):
         self.device, self.what, self.stage, self.name = device, what, device._clock.charged or "copies", "copy"
 

@@ -10,10 +10,11 @@ from gpusim.backends import Device
 from gpusim.backends.tape import Tape, noted
 
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
-OTHER, REFILLED, SAME = range(3)  # how a key relates to another
+NUMBERS = (int, float, str, bool)
+OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class One:
     """What another step gave, or a user: the same while it is one object of one version, whatever its values."""
 
@@ -47,21 +48,24 @@ class Kept:
     def __call__(self, name: str, key, make, adjust=None):
         """What `make()` gave for a key that is the same, see `compared`, or gives now.
 
-        key: all that `make` depends on. Where nothing but the contents of its arrays is new, its kernels are started
-        again without it. adjust: function that sets other numbers in the kernels of a tape, where the last part of the
-        key alone is other.
+        key: all that `make` depends on. Where nothing but the contents of its arrays is new, or others of the same form
+        are in their places, its kernels are started again without it. adjust: function that sets other numbers in the
+        kernels of a tape, where the last part of the key alone is other.
         """
         found = self._entries.get(name)  # read once: another thread may put its own there
-        change = OTHER if found is None else compared(found[0], key)
-        if found is not None and change == SAME:
-            return found[1]
+        change, has_numbers = OTHER, True
+        if found is not None:
+            change = compared(found[0], key) if adjust is None else compared(found[0][:-1], key[:-1])
+            has_numbers = adjust is None or compared(found[0][-1], key[-1]) == SAME
+            if change == SAME and has_numbers:
+                return found[1]
         tape = None if self._device is None else Tape() if found is None else found[2]
         try:
-            if found is not None and found[2] and found[2].is_replayable and (change == REFILLED or (
-                    adjust is not None and compared(found[0][:-1], key[:-1]) != OTHER)):
-                if change == OTHER:
-                    adjust(found[2])
-                found[2].replay()
+            if found is not None and change != OTHER and tape is not None and tape.is_replayable and (
+                    change != REPLACED or self._replaced(tape, found, key)):
+                if not has_numbers:
+                    adjust(tape)
+                tape.replay()
                 value = found[1]
             else:
                 with noted(tape):
@@ -74,6 +78,14 @@ class Kept:
         if self._device is not None:
             self._renew(name, None if found is None else found[1], value)
         return value
+
+    @staticmethod
+    def _replaced(tape, found, key) -> bool:
+        """Whether the noted kernels now have the key's arrays in the places of others, and give nothing of those."""
+        others = [(own.value, its.value) for own, its in zip(ones(found[0]), ones(key), strict=True)
+                  if own.value is not its.value]
+        parts = found[1] if isinstance(found[1], tuple) else (found[1],)
+        return not any(part is old for part in parts for old, _ in others) and tape.replaced(others)
 
     def on_host(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Steps that did more than start kernels when last made on their tapes: see `gpusim.program.host`.
@@ -105,13 +117,18 @@ def same(a, b) -> bool:
 
 
 def compared(a, b) -> int:
-    """SAME where two keys name one thing; REFILLED where some of its arrays were written to since; else OTHER."""
+    """SAME where two keys name one thing; REFILLED where some of its arrays were written to since; else OTHER.
+
+    REPLACED where other arrays of devices, of the same shapes and types, are in the places of some.
+    """
     if a is b:
         return SAME
     if type(a) is not type(b):
         return OTHER
     if isinstance(a, One):
-        return OTHER if a.value is not b.value else SAME if a.version == b.version else REFILLED
+        if a.value is b.value:
+            return SAME if a.version == b.version else REFILLED
+        return REPLACED if _alike(a.value, b.value) else OTHER
     if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
@@ -124,12 +141,27 @@ def compared(a, b) -> int:
     return OTHER
 
 
+def _alike(a, b):
+    """Whether these are two arrays of devices that kernels take for each other."""
+    return (type(a) is type(b) and not isinstance(a, np.ndarray) and hasattr(a, "dtype") and a.shape == b.shape
+            and a.dtype == b.dtype)
+
+
+def ones(key) -> list[One]:
+    """What is given as One in a key, in order."""
+    if isinstance(key, One):
+        return [key]
+    return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
+
+
 def _all(a, b):
     """The least of what pairs of parts are."""
     least = SAME
     for own, its in zip(a, b, strict=True):
-        if own is not its:
-            least = min(least, compared(own, its))
-            if least == OTHER:
-                break
+        if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):
+            continue
+        found = compared(own, its)
+        if found == OTHER:
+            return OTHER
+        least = min(least, found)
     return least

@@ -28,7 +28,7 @@ from gpusim.program.shots import Shots
 SAME = object()  # of `Program.update`: as it was
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, slots=True)
 class _Result:
     """An exposure, and what it was made of.
 
@@ -158,8 +158,9 @@ class Program:
         self._last = None  # its arrays are written to from here on
         made = self._again(last, is_same) if last and settings[0] is last.settings[0] and (
             self.plan is last.plan) else None
-        self._last = dataclasses.replace(made or self._anew(), settings=settings)
-        return self._last.exposure
+        made = made or self._anew()
+        made.settings, self._last = settings, made
+        return made.exposure
 
     def _anew(self):
         """An exposure by a plan that fits as far as is known."""
@@ -170,7 +171,8 @@ class Program:
             self.judge()  # not sooner: the device has work while the host waits
             if self.before.plan is not None:
                 made = _Result((), plan, self.scene, stored, samples, planes, rates, None)
-                return dataclasses.replace(made, exposure=self._exposed_by(made))
+                made.exposure = self._exposed_by(made)
+                return made
 
     def stored(self, plan):
         """The scene's samples on the device as a plan takes them, and these as parts of keys."""
@@ -208,16 +210,17 @@ class Program:
         if self.before.plan is None:
             return None
         if last.scene is self.scene:
-            return dataclasses.replace(last, exposure=self._exposed_by(last))
+            last.exposure = self._exposed_by(last)
+            return last
         exposure = last.exposure
         mean = self._mean(last, exposure.exposure_time)
         if mean is not exposure.mean or (
                 chip_mean(self.simulator, mean, exposure.exposure_time, self.kept) is not exposure.chip_mean):
             return None
-        made = dataclasses.replace(last, scene=self.scene, stored=stored, samples=samples)
+        last.scene, last.stored, last.samples = self.scene, stored, samples
         if plan.scene is not self.scene:
-            self._look(made, mean, exposure.exposure_time)
-        return made
+            self._look(last, mean, exposure.exposure_time)
+        return last
 
     def _mean(self, made, seconds):
         """Mean electrons of every pixel of the scene [e-]."""
