@@ -11,7 +11,6 @@ import numpy as np
 from baseline import overlap_add as by_scipy
 from results import add_repeat, compared, count, parser, ready, start
 
-from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.planner.field import overlap_add
 
@@ -43,7 +42,7 @@ def main():
     planes = random.random((arguments.bands, *SHAPE), np.float32) + 0.5
     for plane in planes:
         plane[tuple(random.integers(0, n, 60) for n in SHAPE)] = 1e5
-    blur = overlap_add(comatic, SHAPE, (GRID, GRID), fft_length, window="bilinear")
+    blur = overlap_add(comatic, SHAPE, (GRID, GRID), window="bilinear")
     inputs = blur.stage_inputs
     tables = transfer(device, inputs["kernels"], inputs["edges"])
     inputs["coefficients"] = device.array(inputs["coefficients"])

@@ -19,7 +19,7 @@ from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.tolerance import Tolerance
-from gpusim.planner.plan import BORDER_REACH
+from gpusim.planner.border import BORDER_REACH
 from gpusim.simulator import Simulator
 
 RANKS = (3, 4, 6)

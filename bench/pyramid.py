@@ -8,9 +8,9 @@ Direct convolution stands beside its peers in compare.py, and under the roofline
 import numpy as np
 from results import add_repeat, add_size, compared, parser, ready, start
 
-from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.nearfar import nearfar
+from gpusim.optics.lengths import fft_length
 
 REACH = 246  # [pixel] of the levels below: 8 + 2 (9 + ...), what the transform's period is given on each side
 SHAPES = ((3, 15), (4, 15), (4, 15), (4, 15), (4, 15), (4, 17))  # separable terms and taps of the pyramid's levels

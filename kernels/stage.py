@@ -4,7 +4,8 @@ A stage `area.name` is four files in `kernels/area/`:
 
     name.py        the contract: the host function `name(device, ...)`, `cases()` for the tests, `bench(rows, cols)`;
                    `operations` where a formula is easy: multiplications and additions on the inputs of `bench`
-    name_ref.py    `name(...)`: NumPy float64, reads like the formula, shares nothing with the kernels
+    name_ref.py    `name(...)`: NumPy float64, reads like the formula, shares nothing with the kernels; it may
+                   stand in gpusim.optics, where plans are made by it as well
     name.cl        the same as OpenCL C kernels
     name_warp.py   the same as Warp kernels, with the same names and arguments as the OpenCL ones; a function
                    `specialised(kernel, **defines)` there makes those whose code depends on compile-time constants

@@ -24,6 +24,7 @@ from scipy.special import j1
 from gpusim.domain.optics import Optics
 from gpusim.domain.tolerance import Tolerance
 
+BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 SHARE = 0.6  # of a tolerance that the border may take
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14

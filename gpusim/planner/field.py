@@ -19,6 +19,7 @@ import numpy as np
 from scipy.interpolate import BSpline, RectBivariateSpline
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.optics.lengths import fft_length
 
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
@@ -62,7 +63,7 @@ class FieldBlur:
         return {"coefficients": self.coefficients.astype(np.float32), "kernels": self.kernels.astype(np.float32),
                 "index": self.index.astype(np.int32), "edges": self.edges}
 
-    def bytes_of_tiles(self, fft_length, channels) -> int:
+    def bytes_of_tiles(self, channels) -> int:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
         count, planes, m, _ = self.kernels.shape
         rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
@@ -75,18 +76,15 @@ class FieldBlur:
                 f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place")
 
 
-def choose(lens: Lens, shape, tolerance: float, fft_length) -> FieldBlur:
-    """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does.
-
-    fft_length: function that gives the next transform length of the kernels.
-    """
+def choose(lens: Lens, shape, tolerance: float) -> FieldBlur:
+    """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does."""
     probes = _probes(shape)
     truth = _kernels(lens, probes)
-    candidates = [eigen_kernels(lens, shape, fft_length, tolerance=tolerance, truth=(probes, truth))]
+    candidates = [eigen_kernels(lens, shape, tolerance=tolerance, truth=(probes, truth))]
     for grid in GRIDS:
         if min(np.array(shape) - grid) < 0:
             break
-        blur = overlap_add(lens, shape, grid, fft_length, truth=(probes, truth))
+        blur = overlap_add(lens, shape, grid, truth=(probes, truth))
         candidates.append(blur)
         # finer grids cost more: enough, or already dearer than what is good enough
         if blur.error[0] <= tolerance or (candidates[0].error[0] <= tolerance and blur.cost > candidates[0].cost):
@@ -95,7 +93,7 @@ def choose(lens: Lens, shape, tolerance: float, fft_length) -> FieldBlur:
     return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=lambda blur: blur.error[0])
 
 
-def overlap_add(lens: Lens, shape, grid, fft_length, window="quadratic", truth=None) -> FieldBlur:
+def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None) -> FieldBlur:
     """Kernels on a grid of places, mixed for each source pixel by weights that sum to one.
 
     shape: (rows, cols) of the frame. grid: kernels along the rows and columns, corner to corner, each >= 2. truth:
@@ -135,7 +133,7 @@ def overlap_add(lens: Lens, shape, grid, fft_length, window="quadratic", truth=N
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
     return FieldBlur("overlap-add", partial(_window_maps, along_y, along_x), kernels, index, edges,
-                     image_error(mixed, wanted), terms, _cost(edges, reach, terms, fft_length))
+                     image_error(mixed, wanted), terms, _cost(edges, reach, terms))
 
 
 def _window_maps(along_y, along_x):
@@ -181,7 +179,7 @@ class _Window:
         return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
 
 
-def eigen_kernels(lens: Lens, shape, fft_length, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None) -> FieldBlur:
+def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None) -> FieldBlur:
     """The mean kernel and the principal differences from it, as a natural scene weighs them.
 
     terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
@@ -220,7 +218,7 @@ def eigen_kernels(lens: Lens, shape, fft_length, terms=None, tolerance=1e-3, sam
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
     return FieldBlur("eigen-kernels", maps, np.concatenate([mean[None], basis[: terms - 1]]),
-                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms, fft_length))
+                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms))
 
 
 def image_error(kernels, wanted) -> tuple[float, float]:
@@ -295,7 +293,7 @@ def _between(nodes, vectors, rows, cols, grid=True):
     return out
 
 
-def _cost(edges, reach, terms, fft_length):
+def _cost(edges, reach, terms):
     """Flop of the transforms of one plane to one channel: 2.5 n log2 n for each, terms forward and one back."""
     tiles = np.prod([len(edge) - 1 for edge in edges])
     size = np.prod([float(fft_length(int(np.diff(edge).max()) + 2 * reach)) for edge in edges])

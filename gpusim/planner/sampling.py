@@ -14,6 +14,7 @@ import numpy as np
 
 from gpusim.domain.content import Content
 from gpusim.planner.fusion import SAMPLES
+from gpusim.planner.tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
 AREA = 2  # of a polynomial that takes the picture as constant over each cell
@@ -107,14 +108,14 @@ def pixel_response(taps, fy, fx) -> np.ndarray:
 
 
 def sampling_error(channels: "Moments", weights, q, share, ratio: float, aperture, taps,
-                   transfer_tables=None, displacement=(0.0, 0.0)) -> float:
+                   tables: Tables | None = None, displacement=(0.0, 0.0)) -> float:
     """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
 
     channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
     f-number over the distance of samples, (L,). share: part of the pixels that has each channel, (C,). aperture: height
     and width of a pixel's [pixel]. taps: pair of `Taps` (rows, columns), None where each pixel is one sample.
-    transfer_tables: see `gpusim.planner.plan.plan`; None without blur. displacement: of the apertures' middles from the
-    samples, (rows, cols) [pixel], where there are no taps.
+    tables: of the lens; None without blur. displacement: of the apertures' middles from the samples, (rows, cols)
+    [pixel], where there are no taps.
 
     The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
     where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
@@ -125,9 +126,9 @@ def sampling_error(channels: "Moments", weights, q, share, ratio: float, apertur
     """
     if not share @ channels.squares > 0:
         return 0.0
-    waves = _Waves.of(2.0 if transfer_tables is None else float(q.min()))
-    optical = [None] * len(share) if transfer_tables is None else _channel_optics(
-        waves, weights * channels.means, q, ratio, transfer_tables)
+    waves = _Waves.of(2.0 if tables is None else float(q.min()))
+    optical = [None] * len(share) if tables is None else _channel_optics(
+        waves, weights * channels.means, q, ratio, tables)
     one = np.ones(waves.all.shape)
     responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
     error = 0.0
@@ -204,7 +205,7 @@ class _Waves:
         return np.tile(transfer.reshape(k, n, k, n).sum(axis=(0, 2)), (k, k))
 
 
-def _channel_optics(waves, seen, q, ratio, transfer_tables):
+def _channel_optics(waves, seen, q, ratio, lens_tables):
     """Each channel's transfer function of the optics alone at the waves, (C, F, F).
 
     seen: what each wavelength gives to each channel, (C, L). Under spiky lights some are negative, as weights of an
@@ -219,7 +220,7 @@ def _channel_optics(waves, seen, q, ratio, transfer_tables):
     # tables of a grid so fine that nothing is folded onto another frequency, over their own cells' transfer
     finer = 1 if q.min() >= 2 else len(waves.replicas)
     n = finer * round(1 / waves.step)
-    tables = np.asarray(transfer_tables(centres * finer, 1.0, n, n, ratio * finer), np.float64)
+    tables = np.asarray(lens_tables.quick(centres * finer, 1.0, n, n, ratio * finer), np.float64)
     if tables.shape[2] == n // 2 + 1:  # a quarter: the index of |frequency|
         fold = np.minimum(np.arange(n), n - np.arange(n))
         tables = tables[:, fold[:, None], fold]

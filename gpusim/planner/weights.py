@@ -1,8 +1,13 @@
 """Quadrature of spectral integrals: weights that turn a sum over a scene's wavelengths into the integral."""
 
+from math import prod
+
 import numpy as np
 
-from gpusim.domain.errors import BadData
+from gpusim.domain.camera import Camera
+from gpusim.domain.content import Content
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 
 STEP = 0.1  # [nm]; lines narrower than this must be given as such in the tables
@@ -40,3 +45,47 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     trapezoid[:-1] += steps / 2
     trapezoid[1:] += steps / 2
     return (product * trapezoid) @ cardinal(grid)
+
+
+def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
+    """Electrons per second in each channel for content 1 at each of the scene's wavelengths, shape (C, L).
+
+    Raises BadData where the camera sees none of the light.
+    """
+    optics, sensor = camera.optics, camera.sensor
+    factors = [scene.illuminant, sensor.qe]
+    constant = prod(sensor.aperture) * optics.irradiance_factor
+    if isinstance(optics.transmission, Spectrum):
+        factors.append(optics.transmission)
+    else:
+        constant *= optics.transmission
+    nodes = scene.wavelengths
+    try:
+        weights = constant * product_weights(nodes, *factors)
+    except BadData as error:
+        raise BadData(f"{scene.name} by {camera.name}: {error}") from None
+    if not (weights > 0).any():
+        raise BadData(f"{scene.name}: camera {camera.name} sees none of its light "
+                      f"({nodes[0]:g} .. {nodes[-1]:g} nm)")
+    return weights
+
+
+def check_light(scene: Scene, content: Content, camera: Camera):
+    """Refuse light on the sensor at wavelengths where its curves are not known. Raises OutOfRange."""
+    nodes, qe, light, through = content.wavelengths, camera.sensor.qe, scene.illuminant, camera.optics.transmission
+    known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
+    if nodes[0] >= known[0] and nodes[-1] <= known[1]:
+        return
+    factors = [light, *([through] if isinstance(through, Spectrum) else [])]
+    grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
+    grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
+                & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
+    lit = np.prod([np.interp(grid, nodes, content.lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
+    if not lit.any():
+        return
+    first, last = grid[:-1][lit][0], grid[1:][lit][-1]
+    if first < known[0] or last > known[1]:
+        raise OutOfRange(f"sensor.qe of {camera.name}", f"{qe.wavelengths[0]:g} .. {qe.wavelengths[-1]:g} nm",
+                         f"as far as the light of {scene.name}, {first:g} .. {last:g} nm; a curve that is 0 beyond its "
+                         'ends can be extended with zeros: qe_ends = "zero" in the camera file')

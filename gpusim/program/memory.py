@@ -4,7 +4,7 @@ from math import prod
 
 from gpusim.backends import Device
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.kernels.common.fft import fft_length, pitch_of, room
+from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
 from gpusim.planner.plan import Plan
 
@@ -29,7 +29,7 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 16 * len(plan.weights) * samples * len(plan.depth.kernels) * plan.depth.layers
     if plan.varying is not None:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
-        total += plan.varying.bytes_of_tiles(fft_length, len(plan.weights))
+        total += plan.varying.bytes_of_tiles(len(plan.weights))
     return int(total + _sensor(plan) + _processor(plan))
 
 

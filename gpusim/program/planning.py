@@ -5,10 +5,10 @@ from math import ceil
 
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.scene import Scene
-from gpusim.kernels.common.fft import LENGTHS, fft_length
-from gpusim.kernels.optics.mosaic import transform_lengths
+from gpusim.optics.lengths import LENGTHS
+from gpusim.planner.border import BORDER_REACH
 from gpusim.planner.facts import Facts
-from gpusim.planner.plan import BORDER_REACH, Plan, plan
+from gpusim.planner.plan import Plan, plan
 from gpusim.program.memory import bytes_needed, largest_array
 
 MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
@@ -38,9 +38,8 @@ def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
     if max(scene.samples) > most and not period:
         raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
     simulator.readout.output_shape(scene.shape)
-    made = plan(scene, simulator.camera, transform_lengths, fft_length, simulator.imaging.tables.sampled,
-                simulator.tolerance, simulator.guaranteed, reach, simulator.fft_free, period,
-                lambda what, key, make: simulator.kept(what, (planned_by(simulator), key), make), facts)
+    made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
+                fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts)
     needed, largest = bytes_needed(made, device), largest_array(made)
     needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
     what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from gpusim.backends import Device, open_device
+from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.psf import psf_tables
+from gpusim.optics.tables import transfer_tables
 from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
@@ -22,13 +23,6 @@ class LensTables:
         self.camera, self.device, self._kept = camera, device, kept
         sensor = camera.sensor
         self._lens = camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement
-
-    def sampled(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)):
-        """Transfer tables for the planner, float64."""
-        pitch = self.camera.sensor.pixel_pitch / finer
-        key = self._lens, q, aperture, displacement
-        return self._kept(f"sampled {rows}x{cols} {finer:g}", key, lambda: self.bands(
-            q, pitch, aperture, rows, cols, open_device("numpy"), whole=False, displacement=displacement))
 
     def grid(self, samples_per_pixel):
         """Distance of the samples that are blurred [m], height and width over which each is integrated [sample].
@@ -62,20 +56,18 @@ class LensTables:
 
         return self._kept("levels", (reach, *self._key(plan)), pyramids)
 
-    def bands(self, q, pitch, aperture, rows, cols, device, distance=None, whole=True, displacement=None):
+    def bands(self, q, pitch, aperture, rows, cols, device, distance=None):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.
 
         q: wavelength times f-number over `pitch`, the distance of samples [m]. aperture: their height and width
-        [sample]. distance: of the object [m], that in focus if not given. whole: for a convolution, see `psf_tables`.
-        displacement: of the apertures from the samples; the sensor's, where the samples are the pixels', if not given.
+        [sample], displaced from the samples where these are the pixels'. distance: of the object [m], that in focus if
+        not given.
         """
         optics, sensor = self.camera.optics, self.camera.sensor
-        if displacement is None:
-            displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
+        displacement = sensor.displacement if pitch == sensor.pixel_pitch else (0.0, 0.0)
         if optics.psf is not None:
             tables = psf_tables(optics.psf, q * pitch / optics.working_f_number * 1e9, pitch, aperture, rows, cols,
-                                finest=float(q.min()) * pitch / 2 if whole else 0.0, whole=whole,
-                                displacement=displacement)
+                                finest=float(q.min()) * pitch / 2, displacement=displacement)
             return tables if device.kind == "numpy" else device.array(tables)
         if optics.is_ideal and distance is None and not any(displacement):
             return airy(device.array(q), aperture, rows, cols, device=device)
@@ -98,10 +90,10 @@ class LensTables:
 
         def deviation():
             # four points along a pixel: what a grid of pixels folds onto this frequency is not of the lens
-            tables = np.asarray(self.bands(4 * q, sensor.pixel_pitch / 4, tuple(4 * side for side in aperture), 32, 32,
-                                           open_device("numpy"), whole=False, displacement=(0.0, 0.0)))
+            tables = transfer_tables(self.camera.optics, sensor.pixel_pitch / 4, 4 * q,
+                                     tuple(4 * side for side in aperture), 32, 32)
             if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
-                tables = np.ascontiguousarray(tables).view(np.result_type(tables.dtype, np.complex64))
+                tables = np.ascontiguousarray(tables).view(complex)
             light = plan.weights.sum(axis=0)
             passed = [light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
                       for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)]

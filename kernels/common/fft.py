@@ -15,18 +15,12 @@ from math import prod
 import numpy as np
 
 from gpusim.kernels.common.border import BORDERS, extend
+from gpusim.optics.lengths import LENGTHS
 
 GROUP = 512  # work-items at most
 REGISTERS = 65536 // GROUP  # of a work-item at most, so that a group can start; fewer spill (measured on an H200)
 RADICES = (16, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 SECTOR = 4  # complex values that memory moves at once, 32 bytes
-LENGTHS = tuple(sorted(2**a * 3**b * 5**c for a in range(16) for b in range(10) for c in range(7)
-                       if 2**a * 3**b * 5**c <= 2**15))
-
-
-def fft_length(minimum: int) -> int:
-    """Smallest length not below `minimum` that is a product of 2, 3 and 5 (up to 32768)."""
-    return next(length for length in LENGTHS if length >= minimum)
 
 
 def operations(period) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import Case, stage
+from gpusim.optics.lengths import fft_length
 
 BATCH = 8  # planes transformed at once: the sums are read and written once per batch
 
@@ -94,7 +95,7 @@ def cases():
 def bench(rows, cols):
     """31 bands to three channels, 64 pixels of border."""
     random = np.random.default_rng(3)
-    period = (fft.fft_length(rows + 128), fft.fft_length(cols + 128))
+    period = (fft_length(rows + 128), fft_length(cols + 128))
     return {"planes": random.random((31, rows, cols), np.float32),
             "tables": random.random((1, 31, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
             "mix": random.random((3, 31), np.float32), "border": "edge", "period": period}

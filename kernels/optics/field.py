@@ -21,6 +21,7 @@ import numpy as np
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
+from gpusim.optics.lengths import fft_length
 
 BATCH_BYTES = 2**22  # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 HOST_TILES = 16  # from here on, a CPU has a thread to each tile
@@ -158,7 +159,7 @@ def transfer(device, kernels, edges):
 
 
 def _period(shape, edges):
-    return tuple(fft.fft_length(int(np.diff(edge).max()) + reach - 1)
+    return tuple(fft_length(int(np.diff(edge).max()) + reach - 1)
                  for edge, reach in zip(edges, shape[2:], strict=True))
 
 

@@ -21,23 +21,10 @@ import numpy as np
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
+from gpusim.optics.lengths import transform_lengths
 
 LINES = "optics.mosaic_lines"  # the kernels of GPUs
 BATCH = 8  # planes transformed at once: the folded sums are read and written once per batch
-
-
-def transform_lengths(minimum, cfa_shape):
-    """Transform lengths of at least `minimum`, and whether the mosaic can be folded into transforms of these.
-
-    Folding takes multiples of the mosaic's period. Lengths are products of 2, 3 and 5, so a period of 7 cannot be.
-    """
-    def smallest(size, multiple):
-        return next((length for length in fft.LENGTHS if length >= size and length % multiple == 0), None)
-
-    folded = tuple(smallest(size, period) for size, period in zip(minimum, cfa_shape, strict=True))
-    if None in folded:
-        return tuple(smallest(size, 1) for size in minimum), False
-    return folded, True
 
 
 @stage

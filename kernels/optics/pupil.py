@@ -19,18 +19,14 @@ For a polygon, s is counted along each ray up to its own cut-off, and no cubic r
 edge: the directions of the polygon's sides, and the corners of the cut-off.
 """
 
-from math import ceil, floor
+from math import floor
 
 import numpy as np
 
-from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
 from gpusim.kernels.stage import Case, stage
-from gpusim.optics.otf import FAST, defocus_only, hopkins, transfer
-from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
+from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
 
-CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
-POLYGON_ERROR = 3e-5  # the same: where a polygon's corners meet sides O's second derivative jumps
 BLOCK = 32  # bands of a CPU's work-item
 
 
@@ -76,103 +72,6 @@ def pupil(device, outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), dif
     device.launch("optics.pupil", "polar", grid, table, *common, tables, low, high, angle, sides, inner,
                   sectors, (table.shape[1] - 1) // sectors, table.shape[2], *shape, **launching)
     return tables
-
-
-def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
-    """O at s = 1 - (1 - i / (n - 1))^2, i = 0 .. n - 1, shape (bands, n); for what `symmetric` holds of.
-
-    n is such that cubics through the nodes err by less than `error`. Raises OutOfRange as `transfer`, DoesNotFit.
-    """
-    if defocus_only(outline, waves):
-        focus = waves[:, 2, 0, None] if waves.shape[-1] > 2 else 0 * waves[:, 0, :1]
-        found, to_bands = lambda s: hopkins(s, focus), np.eye(len(waves))
-    else:
-        _, scaled, to_bands = scales(waves)
-        series = expansion(outline, scaled)
-        found = lambda s: series(s, np.zeros(1))[:, 0].real  # noqa: E731
-    length = 512 * (1 + ceil(peak_to_valley(waves)))
-    while True:
-        require_memory("transfer tables", 16 * length * len(waves))
-        table = found(1 - np.linspace(1, 0, length) ** 2)
-        rest = cubic_error(table)
-        if rest <= error:
-            return to_bands @ table
-        length = _finer(length, rest, error)
-
-
-def polar_table(outline: Pupil, waves, error=None):
-    """O along rays: table (bands, rays, n), first ray's angle [rad], sectors without an edge.
-
-    The rays are even over half a turn, both ends included; the nodes are those of `radial_table`, up to the cut-off
-    of each ray. O at the opposite frequency is the conjugate. Rays and nodes are so many that cubics through them err
-    by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
-    """
-    error = error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR)
-    range_, scaled, to_bands = scales(waves)
-    sides, _ = cutoff_polygon(outline)
-    sectors = max(1, 2 * outline.blades)
-    # of one sector, rays may be few where they are all the same
-    per_sector = 8 if symmetric(outline, waves) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
-    length = 192 + ceil(48 * range_)
-    first = outline.rotation + np.pi / outline.blades if sides else 0.0
-    series = None if sides else expansion(outline, scaled)
-    strongest = np.argmax((scaled**2).sum(axis=(1, 2)))
-    # one wavefront finds how many nodes it takes, all of them are held against it
-    for wanted in ([strongest], slice(None))[len(scaled) == 1 :]:
-        while True:
-            require_memory("transfer tables", 32 * (len(scaled) + len(waves)) * sectors * per_sector * length)
-            turn = np.linspace(0, np.pi, sectors * per_sector + 1)
-            s = 1 - np.linspace(1, 0, length) ** 2
-            table = (series(s, turn[:-1], wanted) if series
-                     else _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector))
-            table[:, :, 0] = 1
-            table = np.concatenate([table, table[:, :1].conj()], axis=1)
-            along = cubic_error(table)
-            across = max(cubic_error(np.moveaxis(table[:, k * per_sector : (k + 1) * per_sector + 1], 1, -1))
-                         for k in range(sectors))
-            if max(along, across) <= error:
-                break
-            order = 2.5 if sides else 4
-            length, per_sector = _finer(length, along, error, order), _finer(per_sector, across, error, order)
-    return np.tensordot(to_bands, table, 1), first, sectors
-
-
-def _polygon_rays(outline, waves, s, first, turn, per_sector):
-    """O of a polygon at `s` of each ray's cut-off, (bands, rays, n)."""
-    sides, inner = cutoff_polygon(outline)
-    step = 2 * np.pi / sides
-    ends = inner / np.cos(turn - step * np.rint(turn / step))
-    rays = np.arange(len(turn) - 1)
-    if symmetric(Pupil(), waves):  # the polygon's mirror lines are two sectors apart: one part makes all
-        rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
-    own = np.arange(rays.max() + 1)
-    require_points(outline, waves, len(own) * len(s))
-    radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
-    found = transfer(outline, waves, (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), error=FAST,
-                     fast=True)
-    return found.reshape(len(waves), *radius.shape)[:, rays]
-
-
-def cubic_error(table) -> float:
-    """Most by which cubics through the nodes along the last axis err, from the fourth differences.
-
-    Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the outer cells 1 / 24.
-    """
-    fourth = np.abs(np.diff(table, 4, axis=-1))
-    return float(max(9 / 384 * fourth.max(initial=0), fourth[..., [0, -1]].max() / 24))
-
-
-def _finer(count, rest, error, order=4.0):
-    """Nodes with which an error of this order falls to `error`."""
-    return count if rest <= error else ceil(count * min(4, max(1.1, 1.03 * (rest / error) ** (1 / order))))
-
-
-def cutoff_polygon(outline):
-    """Sides and inner radius of the polygon beyond which O is 0; no sides for the unit circle."""
-    n = outline.blades
-    if n % 2 == 0:
-        return n, float(np.cos(np.pi / n)) if n else 1.0
-    return 2 * n, (1 + float(np.cos(np.pi / n))) / 2  # a polygon and its mirror image, halfway
 
 
 def cases():

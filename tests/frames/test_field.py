@@ -12,7 +12,6 @@ from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
-from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.optics.lens import open_lens
 from gpusim.planner.field import choose, eigen_kernels, image_error, overlap_add
@@ -34,7 +33,7 @@ def test_a_kernel_at_every_pixel_is_the_brute_force(device, border):
     shape = (12, 19)
     lens = seidel_lens(shape, STRONG, 9)
     plane = natural(shape, 5)
-    blur = overlap_add(lens, shape, shape, fft_length, window="bilinear")
+    blur = overlap_add(lens, shape, shape, window="bilinear")
     assert blur.error[0] < 1e-12
     truth = scattered(plane, lens, border)
     assert np.abs(blurred(plane, blur, device, border) - truth).max() < 2.5e-6 * truth.max()
@@ -58,15 +57,15 @@ def check_accuracy(shape, points, waves, make, bound):
 def test_mild_lens_in_twelve_convolutions():
     """Goal: relative RMS 1e-3 with at most 12 convolutions; the bound is the goal."""
     shape = (540, 960)
-    check_accuracy(shape, 60, MILD, lambda lens: eigen_kernels(lens, shape, fft_length, terms=12), 1e-3)
+    check_accuracy(shape, 60, MILD, lambda lens: eigen_kernels(lens, shape, terms=12), 1e-3)
 
 
 def test_strong_lens_by_overlap_add():
     """Goal: relative RMS 1e-3 where no dozen eigen-kernels do (they leave 1.2e-2)."""
     shape = (540, 960)
-    blur = check_accuracy(shape, 60, STRONG, lambda lens: overlap_add(lens, shape, (13, 17), fft_length), 1e-3)
+    blur = check_accuracy(shape, 60, STRONG, lambda lens: overlap_add(lens, shape, (13, 17)), 1e-3)
     lens = seidel_lens(shape, STRONG, SIZE)
-    assert eigen_kernels(lens, shape, fft_length, terms=12).error[0] > 10 * blur.error[0]
+    assert eigen_kernels(lens, shape, terms=12).error[0] > 10 * blur.error[0]
 
 
 @pytest.mark.slow
@@ -74,19 +73,19 @@ def test_strong_lens_by_overlap_add():
                          [(MILD, None, 12), (MILD, (9, 13), None), (STRONG, (13, 17), None)])
 def test_field_accuracy_at_1080p(waves, grid, terms):
     shape = (1080, 1920)
-    check_accuracy(shape, 200, waves, lambda lens: eigen_kernels(lens, shape, fft_length, terms=terms) if terms else
-                   overlap_add(lens, shape, grid, fft_length), 1e-3)
+    check_accuracy(shape, 200, waves, lambda lens: eigen_kernels(lens, shape, terms=terms) if terms else
+                   overlap_add(lens, shape, grid), 1e-3)
 
 
 def test_the_planner_takes_the_cheapest_that_is_good_enough():
     """A nearly constant lens: one or two convolutions; a strong one: overlap-add; what cannot be met says so."""
     shape = (270, 480)
-    weak = choose(seidel_lens(shape, (0.03, 0.02, 0.02), SIZE), shape, 1e-3, fft_length)
+    weak = choose(seidel_lens(shape, (0.03, 0.02, 0.02), SIZE), shape, 1e-3)
     assert weak.method == "eigen-kernels" and weak.convolutions <= 2 and weak.error[0] <= 1e-3
-    strong = choose(seidel_lens(shape, STRONG, SIZE), shape, 1e-3, fft_length)
+    strong = choose(seidel_lens(shape, STRONG, SIZE), shape, 1e-3)
     assert strong.method == "overlap-add" and strong.error[0] <= 1e-3
     assert "image error" in strong.report
-    impossible = choose(seidel_lens((20, 30), STRONG, SIZE), (20, 30), 1e-9, fft_length)
+    impossible = choose(seidel_lens((20, 30), STRONG, SIZE), (20, 30), 1e-9)
     assert impossible.error[0] > 1e-9
 
 
@@ -94,7 +93,7 @@ def test_more_eigen_kernels_never_hurt():
     """Hard case 18 for the field: beyond the numerical rank the error stays where it is."""
     shape = (96, 160)
     lens = seidel_lens(shape, (0.05, 0.0, 0.0), 15)
-    errors = [eigen_kernels(lens, shape, fft_length, terms=terms).error[0] for terms in (1, 2, 4, 40)]
+    errors = [eigen_kernels(lens, shape, terms=terms).error[0] for terms in (1, 2, 4, 40)]
     assert all(after <= before * 1.01 + 1e-9 for before, after in pairwise(errors))
 
 
@@ -116,15 +115,15 @@ def test_case_15_no_seams(device, method):
     """Second differences stay below 1e-4 (the hard case's bound), on a frame so small that the field varies fast."""
     shape = (180, 320)
     lens = seidel_lens(shape, MILD, SIZE)
-    blur = (eigen_kernels(lens, shape, fft_length, terms=12) if method == "eigen" else
-            overlap_add(lens, shape, (9, 13), fft_length, window=method))
+    blur = (eigen_kernels(lens, shape, terms=12) if method == "eigen" else
+            overlap_add(lens, shape, (9, 13), window=method))
     assert seam(shape, blur, device) < 1e-4
 
 
 def test_what_a_seam_looks_like():
     """The measure finds the steps that bilinear weights leave, where the cells are small and the centroid moves."""
     shape = (180, 320)
-    blur = overlap_add(seidel_lens(shape, MILD, SIZE), shape, (9, 13), fft_length, window="bilinear")
+    blur = overlap_add(seidel_lens(shape, MILD, SIZE), shape, (9, 13), window="bilinear")
     assert seam(shape, blur, DEVICES[0]) > 5e-4
 
 
@@ -132,7 +131,7 @@ def test_what_a_seam_looks_like():
 def test_windows_are_a_partition_of_unity(window):
     """Float64 weights to 1e-14; as float32, each term rounded by half an ulp of at most one."""
     shape = (90, 160)
-    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (4, 6), fft_length, window=window)
+    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (4, 6), window=window)
     assert np.abs(blur.coefficients.sum(axis=0) - 1).max() < 1e-14
     total = blur.stage_inputs["coefficients"].astype(np.float64).sum(axis=0)
     assert np.abs(total - 1).max() <= len(blur.coefficients) * 2.0**-25
@@ -156,7 +155,7 @@ def measured_lens(shape, waves, count, size):
 
 @cache
 def coma_by_field_height(shape, size):
-    return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9), fft_length)  # nodes 20 pixels apart
+    return overlap_add(measured_lens(shape, MILD, 17, size), shape, (7, 9))  # nodes 20 pixels apart
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -205,7 +204,7 @@ def test_highlights_are_spread_directly(device):
     """
     shape = (60, 90)
     lens = seidel_lens(shape, MILD, 15)
-    blur = overlap_add(lens, shape, (4, 5), fft_length)
+    blur = overlap_add(lens, shape, (4, 5))
     plane = np.full(shape, 1e-3)
     plane[0, 40] = plane[30, 89] = plane[33, 44] = 1e6
     inputs = {"planes": plane[None], "mix": ONE, "border": "reflect", **blur.stage_inputs}
@@ -217,7 +216,7 @@ def test_highlights_are_spread_directly(device):
 
 def test_transferred_kernels_are_used_again():
     shape = (40, 60)
-    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (3, 4), fft_length)
+    blur = overlap_add(seidel_lens(shape, MILD, 9), shape, (3, 4))
     device = open_device(DEVICES[0])
     inputs = blur.stage_inputs
     tables = transfer(device, inputs["kernels"], inputs["edges"])
@@ -230,16 +229,15 @@ def test_bad_lenses_and_grids_are_refused():
     shape = (30, 40)
     good = seidel_lens(shape, MILD, 9)
     with pytest.raises(OutOfRange, match="field grid = 1 x 4"):
-        overlap_add(good, shape, (1, 4), fft_length)
+        overlap_add(good, shape, (1, 4))
     with pytest.raises(BadData, match=r"\(0.0, 0.0\) sums to 2, others to 1"):
-        overlap_add(lambda places: good(places) * (2 - (places.sum(axis=1) > 0))[:, None, None, None], shape, (3, 4),
-                    fft_length)
+        overlap_add(lambda places: good(places) * (2 - (places.sum(axis=1) > 0))[:, None, None, None], shape, (3, 4))
     with pytest.raises(BadData, match="is even"):
-        eigen_kernels(lambda places: good(places)[..., :8, :8], shape, fft_length)
+        eigen_kernels(lambda places: good(places)[..., :8, :8], shape)
     with pytest.raises(BadData, match=r"wanted shape"):
-        eigen_kernels(lambda places: good(places)[:, 0], shape, fft_length)
+        eigen_kernels(lambda places: good(places)[:, 0], shape)
     with pytest.raises(BadData, match="sums to nan"):
-        eigen_kernels(lambda places: good(places) * np.nan, shape, fft_length)
+        eigen_kernels(lambda places: good(places) * np.nan, shape)
 
 
 def test_kernels_of_the_test_lens():

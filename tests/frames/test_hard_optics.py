@@ -17,8 +17,9 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
-from gpusim.kernels.optics.mosaic import mosaic, transform_lengths
+from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.lengths import transform_lengths
 from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.highlights import CORE, airy_density, point_kernels
 from gpusim.simulator import Simulator

@@ -13,11 +13,10 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
-from gpusim.kernels.common.fft import fft_length
 from gpusim.kernels.optics.airy import airy
-from gpusim.kernels.optics.mosaic import transform_lengths
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
-from gpusim.planner.plan import PRIOR, plan
+from gpusim.planner.models.spectral import PRIOR
+from gpusim.planner.plan import plan
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 
@@ -30,17 +29,13 @@ def at_f_number(name, f_number):
 CAMERA = at_f_number("phone", 2.8)  # 1.4 um pixels: the camera of the accuracy figures
 
 
-def sampled(q, aperture, rows, cols, finer=1.0):
-    return airy(q, aperture, rows, cols, device="numpy")
-
-
 def made_for(scene, camera=CAMERA, **options):
-    return plan(scene, camera, transform_lengths, fft_length, sampled, **options)
+    return plan(scene, camera, **options)
 
 
 def response_of(plan):
     sensor = plan.camera.sensor
-    tables = sampled(plan.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD)
+    tables = airy(plan.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD, device="numpy")
     return Response.of(plan.weights, tables, sensor.cfa_indices)
 
 

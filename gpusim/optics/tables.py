@@ -1,0 +1,140 @@
+"""Transfer tables of a lens, integrated over the pixel, float64: the kernels' reference, and what the planner reads.
+
+Integrated at every frequency that folds. For any pupil and whole frames that would take hours. Beyond FEW frequencies,
+splines stand for the integral: through integrals at nodes of its own where pupil and wavefront are the same at every
+angle, else through a table of the rays that errs by TABLE at most. The integral itself adds nodes until it no longer
+changes.
+"""
+
+import numpy as np
+from scipy.interpolate import CubicSpline, RectBivariateSpline
+
+from gpusim.domain.optics import Optics
+from gpusim.domain.pupil import symmetric
+from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
+from gpusim.optics.psf import psf_tables
+from gpusim.optics.rays import cutoff_polygon, polar_table
+from gpusim.optics.series import expansion
+
+FEW = 2000  # frequencies
+SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a sixteenth
+TABLE, POLYGON = 1e-6, 1.5e-5  # error of cubics through the table; splines, which are smooth, err by a tenth of that
+
+
+def transfer_tables(optics: Optics, pitch, q, aperture, rows, cols, displacement=(0.0, 0.0)) -> np.ndarray:
+    """Transfer tables of a lens, one per wavelength, good to be looked at: also those of periods too short to blur by.
+
+    pitch: distance of the samples [m]. q: wavelength times working f-number over it, shape (L,); the devices' float32.
+    aperture: height and width of what each sample is integrated over [sample], or one number for a square. rows, cols:
+    transform period. displacement: of the apertures' middles from the samples, (rows, cols) [sample].
+    Returns quarters, real (L, rows // 2 + 1, cols // 2 + 1), where the optics is the same at every angle and nothing
+    is displaced, else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them. Raises OutOfRange.
+    """
+    nanometres = q * pitch / optics.working_f_number * 1e9
+    if optics.psf is not None:
+        return psf_tables(optics.psf, nanometres, pitch, aperture, rows, cols, whole=False, displacement=displacement)
+    q = np.asarray(q, np.float32)
+    if optics.is_ideal and not any(displacement):
+        return airy(q, aperture, rows, cols)
+    return pupil(optics.pupil, optics.waves(nanometres), q, aperture, rows, cols, diffuser=optics.diffuser / pitch,
+                 spots=tuple(length / pitch for length in optics.birefringence), displacement=displacement)
+
+
+def otf(s):
+    """Transfer function of a circular pupil at s = (frequency) lambda N, 1 at s = 0 and 0 from s = 1 on.
+
+    Source: Hopkins, Proc. R. Soc. A 231 (1955), in-focus case.
+    """
+    s = np.minimum(np.abs(s), 1.0)
+    return 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+
+
+def airy(q, aperture, rows, cols):
+    """See the stage `optics.airy`: a sum over the replicas that the sampling folds onto each frequency."""
+    height, width = np.broadcast_to(aperture, 2)
+    fy = np.arange(rows // 2 + 1)[:, None] / rows
+    fx = np.arange(cols // 2 + 1) / cols
+    tables = np.zeros((len(q), rows // 2 + 1, cols // 2 + 1))
+    for table, one_q in zip(tables, np.asarray(q, np.float64), strict=True):
+        reach = int(np.ceil(1 / one_q + 0.5))
+        for a in range(-reach, reach + 1):
+            for b in range(-reach, reach + 1):
+                y, x = fy + a, fx + b
+                table += otf(np.hypot(y, x) * one_q) * np.sinc(height * y) * np.sinc(width * x)
+    return tables
+
+
+def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)):
+    """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
+    waves = np.asarray(waves, np.float64)
+    even = symmetric(outline, waves)
+    real = even and not any(displacement)
+    height, width = np.broadcast_to(aperture, 2)
+    fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
+    fx = np.arange(cols // 2 + 1) / cols
+    tables = np.zeros((len(q), fy.size, fx.size), complex)
+    value = _integral if tables.size < FEW else _spline_radial if even else _spline_polar
+    for table, one_q, wave in zip(tables, np.asarray(q, np.float64), waves, strict=True):
+        otf = value(outline, wave[None])
+        reach = int(np.ceil(1 / one_q + 0.5))
+        for a in range(-reach, reach + 1):
+            for b in range(-reach, reach + 1):
+                y, x = np.broadcast_arrays(fy + a, fx + b)
+                inside = np.hypot(y, x) * one_q < 1
+                weight = np.sinc(height * y) * np.sinc(width * x)
+                weight = weight * np.cos(np.pi * spots[0] * y) * np.cos(np.pi * spots[1] * x)
+                weight = weight * np.exp(-2 * (np.pi * diffuser) ** 2 * (y * y + x * x))
+                weight = weight * np.exp(2j * np.pi * (displacement[0] * y + displacement[1] * x))
+                table[inside] += weight[inside] * otf(x[inside] * one_q, y[inside] * one_q)
+    return tables.real.copy() if real else tables.view(np.float64)
+
+
+def _integral(outline, wave):
+    if defocus_only(outline, wave):
+        return lambda sx, sy: hopkins(np.hypot(sx, sy), wave[0, 2, 0] if wave.shape[-1] > 2 else 0.0)
+    return lambda sx, sy: transfer(outline, wave, sx, sy)[0]
+
+
+def _spline_radial(outline, wave):
+    """Nodes even in t, s = 3 t^2 - 2 t^3, which is flat at both ends and at 1 takes the root's power to the third.
+
+    They are doubled until the spline through every other one meets the rest.
+    """
+    if defocus_only(outline, wave):
+        found = _integral(outline, wave)
+    else:
+        series = expansion(outline, wave, EXACT)
+        found = lambda s, _: series(s, np.zeros(1))[0, 0]  # noqa: E731
+    count, rest = 1000, 1.0
+    while rest > SPLINE:
+        count *= 2
+        t = np.linspace(0, 1, count + 1)
+        s = t * t * (3 - 2 * t)
+        values = np.real(found(s, np.zeros_like(s)))
+        rest = np.abs(CubicSpline(t[::2], values[::2])(t) - values).max()
+    spline = CubicSpline(t, values)
+    return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))  # the cubic's inverse
+
+
+def _spline_polar(outline, wave):
+    table, first, sectors = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
+    sides, inner = cutoff_polygon(outline)
+    size = (table.shape[1] - 1) // sectors
+    rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[2])
+    splines = [[RectBivariateSpline(rays[part], nodes, component[part]) for component in (table[0].real, table[0].imag)]
+               for part in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
+
+    def otf(sx, sy):
+        s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi
+        whole = np.floor(half_turns)
+        turn = half_turns - whole
+        if sides:
+            s = s * np.cos(2 * np.pi / sides * (turn * sides / 2 - np.rint(turn * sides / 2))) / inner
+        out, place = np.zeros(s.shape, complex), 1 - np.sqrt(np.maximum(1 - s, 0))
+        for k, (re, im) in enumerate(splines):
+            here = (s < 1) & (np.minimum((turn * sectors).astype(int), sectors - 1) == k)
+            at = turn[here] * sectors, place[here]
+            out[here] = re.ev(*at) + 1j * im.ev(*at) * np.where(whole[here] % 2, -1, 1)
+        return out
+
+    return otf

@@ -1,0 +1,1 @@
+"""How each knob of a plan is turned: one file a knob."""

@@ -1,0 +1,101 @@
+"""Border: how much of the world around the frame takes part in the blur."""
+
+from dataclasses import dataclass
+from functools import cache
+from math import ceil
+
+import numpy as np
+from scipy.special import j0, j1
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.optics.lengths import LENGTHS, transform_lengths
+from gpusim.optics.lens import spread_radius
+from gpusim.planner.border import BORDER_REACH, Outside, broken, enough_reach, most_reach, tail_of
+from gpusim.planner.depth import DepthPlan
+from gpusim.planner.highlights import TRANSFORM_ERROR
+from gpusim.planner.models.highlights import Picture
+from gpusim.planner.notes import Notes
+from gpusim.planner.question import Question
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What of the world around the frame takes part in the blur.
+
+    reaches: surroundings along each axis [sample]. period: lengths of the transforms [sample]. folds: whether the
+    mosaic folds into these. error: relative RMS, of what is not seen. not_met: the bound that it breaks, or "".
+    """
+
+    reaches: list[int]
+    period: tuple[int, int]
+    folds: bool
+    error: float
+    not_met: str
+
+    def describe(self, question: Question, notes: Notes):
+        """Say what is not seen."""
+        reach = min(self.reaches)
+        notes.predicted["border"] = self.error
+        if question.tolerance is None and self.error > TRANSFORM_ERROR:
+            notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
+                                  f"as the transforms repeat it: relative rms {self.error:.2g}, predicted")
+        if question.optics.is_ideal:
+            notes.predicted["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
+
+
+def surroundings(question: Question, picture: Picture, depth: DepthPlan | None) -> Surroundings:
+    """As much as is asked for, or BORDER_REACH or what a tolerance needs. Raises OutOfRange.
+
+    Spreads that are given end: the frame sees as far as they go, if they fit into its transforms at all.
+    """
+    outside, ratio, tolerance = _outside(question, picture, depth), question.ratio, question.tolerance
+    beside = (ceil(depth.reach) if depth else 0) + question.more  # samples that take part beside the reach
+    shape, reach = outside.image.shape, question.reach
+
+    def transform(reach):
+        around = ceil(reach * ratio) + beside
+        reaches = [max(around, -(-n // 2) if outside.border == "zero" else 0) for n in shape]
+        return reaches, *_lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+
+    @cache
+    def predicted(reach):
+        reaches, period, _ = transform(reach)
+        return (0.0, 0.0, 0.0) if None in period else outside.error(period, min(reaches))
+
+    if reach is None:
+        fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+        reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
+        if tolerance is not None:
+            most = int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
+            reach = enough_reach(reach, most, predicted, tolerance, question.level)
+    border = predicted(reach)
+    reaches, period, folds = transform(reach)
+    if None in period:
+        rows, cols = question.size
+        raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
+                         "what the transforms take: a smaller scene, reach or aperture")
+    return Surroundings(reaches, period, folds, border[0],
+                        "" if tolerance is None else broken(border, tolerance, question.level))
+
+
+def _lengths(question, least):
+    """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
+    if question.period:
+        return question.period, False
+    return transform_lengths(least, np.shape(question.sensor.cfa_indices))
+
+
+def _outside(question, picture, depth):
+    scene, optics, split = question.scene, question.optics, picture.highlights
+    spread = 0
+    if question.is_blurred:
+        spread = depth.reach if depth else spread_radius(optics, scene.wavelengths, question.pitch)
+    tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
+    return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
+                   max(question.sensor.read_sigma**2, 1) / question.level, split.missing if split else 0.0)
+
+
+def _energy_beyond(radius, q):
+    """Share of an Airy pattern's energy beyond `radius` [pixel]: J0(v)^2 + J1(v)^2, v = pi r / q (Rayleigh 1881)."""
+    v = np.pi * radius / q
+    return float(j0(v) ** 2 + j1(v) ** 2)

@@ -1,0 +1,45 @@
+"""Fall-off: what of the light lens and pixels lose toward the corner."""
+
+import numpy as np
+
+from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
+from gpusim.planner.notes import Notes
+from gpusim.planner.question import Question
+
+
+def falloff_of(question: Question, notes: Notes) -> tuple[np.ndarray | None, float]:
+    """Fall-off of every pixel, None where the cos^4 law is all; the tangent of the field angle per pixel, 0 without it.
+
+    Raises BadData, OutOfRange.
+    """
+    sensor, shape, displacement = question.sensor, question.scene.shape, question.sensor.displacement
+    parts, slope = _lens(question, notes)
+    if sensor.microlens is not None:
+        parts["microlenses"] = microlens_gain(sensor.microlens, shape, sensor.pixel_pitch,
+                                              question.optics.image_distance, displacement)
+    if sensor.vignetting is not None:
+        parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
+    if parts:
+        notes.models["optics.falloff"] = " and ".join(parts)
+    layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
+    notes.models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
+    return np.prod(list(parts.values()), axis=0) if parts else None, float(slope)
+
+
+def _lens(question, notes):
+    """The lens's fall-off by its name, where it is not left to the exposure's law, and the slope of that."""
+    optics, sensor, scene = question.optics, question.sensor, question.scene
+    displacement = sensor.displacement
+    if optics.relative_illumination == "cos4":
+        slope = (2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1] if scene.fov
+                 else sensor.pixel_pitch / optics.image_distance)
+        if not any(displacement):
+            return {}, slope
+        # the law that goes with the exposure is that of a grid in the middle
+        return {"cos^4": relative_illumination("cos4", scene.shape, slope, 1.0, displacement=displacement)}, 0.0
+    if optics.relative_illumination == "none":
+        notes.left_out.append('relative illumination: set to "none"')
+        return {}, 0.0
+    return {"relative illumination as given": relative_illumination(
+        optics.relative_illumination, scene.shape, sensor.pixel_pitch, optics.image_distance,
+        displacement=displacement)}, 0.0

@@ -1,0 +1,68 @@
+"""Field: a blur that is not the same all over the frame."""
+
+import numpy as np
+
+from gpusim.planner.differences import Differences
+from gpusim.planner.field import FieldBlur, choose
+from gpusim.planner.fusion import PREDICTION_FACTOR, Response, channel_operator, joint_operator
+from gpusim.planner.question import Question
+
+FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
+MOST_PLANES = 6  # a channel, of a field-varying blur
+
+
+def varying_planes(question: Question, response: Response, prior, flat):
+    """Planes from spectra, transfers on the axis, mix, field-varying rest, error and description of a blur that varies.
+
+    prior: E[x^T x] of likely spectra, shape (L, L). flat: see `Plan`.
+    Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
+    kernels share the limit. Raises OutOfRange.
+    """
+    limit = question.limit or FIELD_TOLERANCE
+    count, table, each, error = _planes(question, response, prior, limit)
+    mix, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
+    # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
+    differences = question.facts.spectra.differences
+    strength = np.sqrt(np.einsum("kl,lm,km->k", table, differences, table))
+    whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat))
+    strength = np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12)
+    table, transfers = table / strength[:, None], transfers * strength[:, None]
+    varying = _rest(question, transfers * flat, limit, count)
+    error = float(np.hypot(error, varying.error[0] * np.sqrt(count)))
+    return table, transfers[None], mix, varying, error, (
+        f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
+        f"{len(question.content.wavelengths)} wavelengths")
+
+
+def _planes(question, response, prior, limit):
+    """Number of planes a channel, planes from spectra, transfers (C, planes, L) and error."""
+    own, channels = question.facts.spectra, len(response.weights)
+    operators = [] if question.guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
+    for count in range(1, MOST_PLANES + 1):
+        if question.guaranteed:
+            operator = channel_operator(response, count)
+            table, each, error, room = operator.table, operator.transfers, operator.bound, 1.0
+        else:
+            parts = [one.transfers(count)[0] for one in operators]
+            table, each = np.vstack([one.w_in[:, :count].T for one in operators]), _blocks(parts)
+            error, room = response.error(table, each, own), PREDICTION_FACTOR
+        if room * error < limit / 2:
+            break
+    return count, table, each, error
+
+
+def _rest(question, transfers, limit, count) -> FieldBlur:
+    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1."""
+    lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
+    of = lens, wavelengths, transfers, shape, question.corner, limit
+    return question.kept("field plan", (*of, count), lambda: choose(
+        Differences(*of[:-1], limit / 8), shape, limit / 2 / np.sqrt(count)))
+
+
+def _blocks(parts):
+    """Rows of each part (n, L) in a place of their own: shape (parts, sum of n, L), 0 elsewhere."""
+    ends = np.cumsum([len(part) for part in parts])
+    out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
+    for own, part, end in zip(out, parts, ends, strict=True):
+        own[end - len(part) : end] = part
+    return out

@@ -1,0 +1,60 @@
+"""Highlights: split off the picture where what is added in their place is known exactly."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gpusim.planner.border import blurred_level, rule_of
+from gpusim.planner.facts import Facts
+from gpusim.planner.highlights import Highlights, split_highlights, unsplit_error
+from gpusim.planner.notes import Notes
+from gpusim.planner.question import Question
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The light that goes through the blur.
+
+    brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
+    highlights in it, as the lens shows it; 0 without blur. highlights: what was split off, or None.
+    """
+
+    brightness: np.ndarray
+    level: float
+    highlights: Highlights | None
+
+    def describe(self, notes: Notes):
+        """Say what was split off."""
+        split = self.highlights
+        if split is None:
+            return
+        notes.models["optics.splat"] = f"{len(split.places)} highlights added exactly, each with its own spectrum"
+        if split.residue:
+            notes.predicted["local error beside further highlights"] = split.residue
+
+    def describe_unsplit(self, notes: Notes):
+        """Say what the transforms err beside highlights that stay in the picture."""
+        if self.highlights is None and (left := unsplit_error(self.brightness)):
+            notes.predicted["local error beside highlights"] = left
+
+
+def split(question: Question) -> tuple[Question, Picture]:
+    """The question of what is left without highlights, and the picture."""
+    scene, facts = question.scene, question.facts
+    brightness = facts.brightness(question.light)
+    level = blurred_level(brightness, question.mean_q, scene.margin) if question.is_blurred else 0.0
+    if not _can_be_split(question):
+        return question, Picture(brightness, level, None)
+    content, highlights = split_highlights(facts.content, brightness, question.q.max(), scene.margin,
+                                           rule_of(scene.border))
+    if highlights is not None:
+        question = replace(question, facts=Facts(content))
+    return question, Picture(brightness, level, highlights)
+
+
+def _can_be_split(question):
+    """Points' kernels are Airy patterns integrated over a square that the point is in the middle of."""
+    optics, cell = question.optics, question.cell
+    ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None)
+    return (question.is_blurred and not question.period and ideal and cell[0] == cell[1] and not any(question.moved)
+            and (question.ratio > 1 or not question.sensor.stacked))

@@ -1,0 +1,75 @@
+"""Sampling: which of the scene's samples a pixel is made of, and what they leave out."""
+
+from math import ceil
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.planner.notes import Notes
+from gpusim.planner.question import Question, displaced
+from gpusim.planner.sampling import (
+    AREA,
+    NODES,
+    SPARE,
+    Taps,
+    bordered,
+    frame_start,
+    pixel_taps,
+    sampling_error,
+)
+
+
+def taps_of(question: Question, period, notes: Notes) -> tuple[tuple[Taps, Taps] | None, int]:
+    """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
+
+    period: lengths of the transforms: the blur knows what is beyond the scene's samples. A picture without blur is
+    constant over each of them. Raises OutOfRange.
+    """
+    ratio, is_blurred = question.ratio, question.is_blurred
+    if ratio == 1 and (is_blurred or not question.more):
+        return None, 0
+    spare = 0
+    if is_blurred and not question.fft_free:
+        spare = min(SPARE + question.more, *((n - m) // 2 for n, m in zip(period, question.size, strict=True)))
+    rows, cols = _blurred_axes(question, spare) if is_blurred else _plain_axes(question)
+    notes.models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over its "
+                                     f"aperture{displaced(question.sensor.displacement)}")
+    return (rows, cols), spare
+
+
+def describe(question: Question, taps, notes: Notes):
+    """Say what structure the samples leave out."""
+    sensor, ratio, weights = question.sensor, question.ratio, question.weights
+    share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
+    notes.predicted["scene sampling"] = sampling_error(
+        question.facts.moments(weights), weights, question.q, share, ratio, question.aperture, taps,
+        question.tables if question.is_blurred else None, question.moved)
+    notes.left_out.append(f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
+                          f"scene sample{'' if ratio == 1 else 's'} per pixel")
+
+
+def _axes(question):
+    """Samples, pixels, width of the aperture [pixel] and displacement [pixel] of rows and of columns."""
+    scene = question.scene
+    return zip(scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True)
+
+
+def _blurred_axes(question, spare):
+    """Taps of the rows and the columns of pixels among the scene's samples and `spare` more on each side."""
+    ratio = question.ratio
+    return [pixel_taps(n + 2 * spare, pixels, ratio, width, spare + frame_start(n, pixels, ratio), NODES, move)
+            for n, pixels, width, move in _axes(question)]
+
+
+def _plain_axes(question):
+    """Taps among the scene's samples without blur, each constant over its cell; beyond them the border's rule."""
+    axes, ratio, border = [], question.ratio, question.scene.border
+    for n, pixels, width, move in _axes(question):
+        more = ceil(ratio * abs(move))
+        taps = pixel_taps(n + 2 * more, pixels, ratio, width, more + frame_start(n, pixels, ratio), AREA, move)
+        first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
+        if border == "scene" and not (more - 1e-6 <= first and last <= n + more + 1e-6):
+            raise OutOfRange("sensor.offset + sensor.centre", f"{move:.6g} pixels, beyond the frame",
+                             'within it, as optics model "none" sees no surroundings; or border = "edge"')
+        axes.append(bordered(taps, n, more, border) if more else taps)
+    return axes

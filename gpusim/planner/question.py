@@ -1,0 +1,176 @@
+"""What is asked of the planner: a scene, a camera and how well the one is to be seen by the other, as numbers."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil
+
+import numpy as np
+
+from gpusim.domain.camera import Camera
+from gpusim.domain.content import Content
+from gpusim.domain.errors import OutOfRange
+from gpusim.domain.optics import Optics
+from gpusim.domain.scene import Scene
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.lens import open_lens
+from gpusim.planner.budget import left_of, limit_of
+from gpusim.planner.facts import Facts
+from gpusim.planner.tables import Kept, Tables
+from gpusim.planner.weights import check_light, electrons_per_content
+
+SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A scene before a camera, checked.
+
+    facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
+    guaranteed, reach, fft_free, period, kept: see `gpusim.planner.plan.plan`.
+    weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
+    limit: relative RMS error for what is not decided yet, None without a tolerance. level: electrons of the frame's
+    root mean square, at most.
+    """
+
+    scene: Scene
+    camera: Camera
+    facts: Facts
+    tolerance: Tolerance | None
+    guaranteed: bool
+    reach: int | None
+    fft_free: bool
+    period: tuple[int, int] | None
+    kept: Kept
+    weights: np.ndarray
+    limit: float | None
+    level: float
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked) -> "Question":
+        """What `plan` was asked. Raises BadData, OutOfRange."""
+        weights = electrons_per_content(scene, camera)
+        check_light(scene, facts.content, camera)
+        made = cls(scene, camera, facts, tolerance, **asked, weights=weights, limit=None,
+                   level=camera.sensor.saturation)
+        made._check_displacement()
+        made._check_q()
+        if tolerance is None:
+            return made
+        limit, level = limit_of(tolerance, camera.sensor, weights, facts)
+        return replace(made, limit=limit, level=level)
+
+    def less(self, error: float) -> "Question":
+        """The same with what an error leaves of the limit."""
+        return replace(self, limit=left_of(self.limit, error))
+
+    @property
+    def optics(self) -> Optics:
+        """The camera's."""
+        return self.camera.optics
+
+    @property
+    def sensor(self) -> Sensor:
+        """The camera's."""
+        return self.camera.sensor
+
+    @property
+    def content(self) -> Content:
+        """What goes through the blur."""
+        return self.facts.content
+
+    @property
+    def ratio(self) -> float:
+        """Scene samples per pixel."""
+        return float(self.scene.samples_per_pixel)
+
+    @property
+    def pitch(self) -> float:
+        """Distance of the samples [m]."""
+        return self.sensor.pixel_pitch / self.ratio
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the scene's samples, the margin included."""
+        rows, cols = (n + 2 * self.scene.margin for n in self.scene.samples)
+        return rows, cols
+
+    @property
+    def corner(self) -> float:
+        """Distance of the frame's corner from the axis [sample]."""
+        return float(np.hypot(*self.scene.samples)) / 2
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether the lens blurs at all."""
+        return self.optics.model != "none"
+
+    @property
+    def aperture(self) -> tuple[float, ...]:
+        """Height and width of a pixel's aperture [pixel]."""
+        return tuple(side / self.sensor.pixel_pitch for side in self.sensor.aperture)
+
+    @property
+    def cell(self) -> tuple[float, ...]:
+        """Height and width over which blurred samples are integrated [sample]."""
+        return self.aperture if self.ratio == 1 else (1.0, 1.0)
+
+    @property
+    def moved(self) -> tuple[float, float]:
+        """Displacement of the apertures from the samples [pixel] that the blur makes; else the taps do."""
+        return self.sensor.displacement if self.ratio == 1 and self.is_blurred else (0.0, 0.0)
+
+    @property
+    def more(self) -> int:
+        """Samples beyond the frame that it sees because it is displaced."""
+        return ceil(self.ratio * max(map(abs, self.sensor.displacement)))
+
+    @property
+    def light(self) -> np.ndarray:
+        """Electrons of all channels together for content 1 at each wavelength, shape (L,)."""
+        return self.weights.sum(axis=0)
+
+    @cached_property
+    def q(self) -> np.ndarray:
+        """Wavelength times working f-number over the distance of samples, shape (L,)."""
+        return self.scene.wavelengths * 1e-9 * self.optics.working_f_number / self.pitch
+
+    @property
+    def mean_q(self) -> float:
+        """The same, as the sensor sees the wavelengths."""
+        return float(np.average(self.q, weights=self.light))
+
+    @property
+    def tables(self) -> Tables:
+        """Transfer tables of the lens."""
+        return Tables(self.optics, self.sensor.pixel_pitch, self.kept)
+
+    @property
+    def lens(self):
+        """The lens over the field, see `open_lens`."""
+        return open_lens(self.optics, self.pitch, self.cell, self.scene.samples, self.moved)
+
+    def _check_displacement(self):
+        """Refuse a displacement of the apertures from a centred grid that nothing honours."""
+        scene, displacement = self.scene, self.sensor.displacement
+        shown = f"{displacement[0]:.6g}, {displacement[1]:.6g} pixels"
+        if any(abs(move) > max(1, n / 4) for move, n in zip(displacement, scene.shape, strict=True)):
+            raise OutOfRange("sensor.offset + sensor.centre", shown, "up to a quarter of the frame; or move the scene")
+        if not self.is_blurred and scene.samples_per_pixel == 1 and any(
+                abs(move - round(move)) > 1e-9 for move in displacement):
+            raise OutOfRange("sensor.offset + sensor.centre", f"{shown}, with one scene sample per pixel and no blur",
+                             "whole pixels; or raise samples_per_pixel, or blur")
+        if self.fft_free and self.is_blurred and any(displacement):
+            raise OutOfRange("fft_free", f"a grid displaced by {shown}", "sensor.offset + sensor.centre = 0")
+
+    def _check_q(self):
+        """Refuse pixels that are far too coarse for the lens."""
+        if self.is_blurred and self.q.min() < SMALLEST_Q:
+            step = "pixel pitch" if self.ratio == 1 else "distance of scene samples"
+            raise OutOfRange(f"{self.camera.name}: wavelength x f-number / {step}", f"{self.q.min():.2g}",
+                             f'>= {SMALLEST_Q}; such a blur is a fraction of a pixel: use optics model = "none"')
+
+
+def displaced(displacement) -> str:
+    """What is displaced, in words that follow what it is; "" where it is not."""
+    return f", displaced by {displacement[0]:.4g}, {displacement[1]:.4g} pixels" if any(displacement) else ""

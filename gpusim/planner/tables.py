@@ -1,0 +1,71 @@
+"""Transfer tables of a lens at few frequencies, float64: what plans are decided by."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from gpusim.domain.optics import Optics
+from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.tables import transfer_tables
+from gpusim.planner.fusion import SAMPLED_PERIOD
+
+
+class Kept(Protocol):
+    """What the planner's caller keeps between plans, such as `gpusim.program.kept.Kept`."""
+
+    def __call__(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make()` gave before under this name for an equal key, or gives now; key: all that `make` depends on."""
+
+
+def made_anew(name: str, key: Any, make: Callable[[], Any]) -> Any:
+    """What `make()` gives: of a caller who keeps nothing."""
+    return make()
+
+
+class Tables:
+    """Transfer tables of a lens in front of pixels of `pitch` [m]."""
+
+    def __init__(self, optics: Optics, pitch: float, kept: Kept):
+        self._optics, self._pitch, self._kept = optics, pitch, kept
+
+    def exact(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)) -> np.ndarray:
+        """Tables at all frequencies of a period, see `gpusim.optics.tables.transfer_tables`.
+
+        q: of the wavelengths, shape (L,). aperture: height and width [sample], or one number for a square. finer:
+        samples per pixel. displacement: of the apertures from the samples [sample].
+        """
+        of = self._optics, self._pitch / finer, q, aperture
+        return self._kept(f"sampled {rows}x{cols} {finer:g}", (*of, displacement), lambda: transfer_tables(
+            *of, rows, cols, displacement))
+
+    def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
+        """The same of a square period: real quarters, or complex halves of displaced apertures."""
+        tables = self.exact(q, aperture, period, period, finer, displacement)
+        return np.ascontiguousarray(tables).view(complex) if any(displacement) else tables
+
+    def quick(self, q, aperture, rows, cols, finer) -> np.ndarray:
+        """The exact ones, but for lenses whose exact tables take long: from kernels as large as the period."""
+        optics, pitch = self._optics, self._pitch
+        if optics.psf is not None or optics.is_symmetric:
+            return self.exact(q, aperture, rows, cols, finer)
+        lens = open_lens(optics, pitch / finer, aperture, (1, 1))
+        wavelengths = q * 1e9 * pitch / finer / optics.working_f_number
+        tables = _transforms(lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1), rows, cols)
+        return np.ascontiguousarray(tables).view(np.float64)
+
+
+def field_tables(lens, wavelengths, places) -> np.ndarray:
+    """Transfer tables of a lens at places of the field, as `Response.of` takes them."""
+    chosen, between = wavelength_nodes(wavelengths)
+    size = max(SAMPLED_PERIOD - 1, lens.least_size)
+    kernels = np.stack([np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1)
+    return _transforms(kernels, SAMPLED_PERIOD, SAMPLED_PERIOD)
+
+
+def _transforms(kernels, rows, cols):
+    """Half spectra of centred kernels (..., m, m) wrapped into a period."""
+    whole = np.zeros((*kernels.shape[:-2], rows, cols))
+    y, x = ((np.arange(n) - n // 2) % period for n, period in zip(kernels.shape[-2:], (rows, cols), strict=True))
+    np.add.at(whole, (..., y[:, None], x), kernels)
+    return np.fft.rfft2(whole)
