@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class Kept:
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
-        self._owners: dict[int, tuple[str, int]] = {}  # of arrays that are written again, by id: step and version
+        self._owners: WeakKeyDictionary = WeakKeyDictionary()  # of arrays that are written again: step and version
         self._versions = itertools.count(1)
 
     def beside(self) -> "Kept":
@@ -43,7 +44,7 @@ class Kept:
 
     def one(self, value) -> One:
         """The value as part of a key: the same until the step that made it writes to it again."""
-        return One(value, self._owners.get(id(value), ("", 0))[1])
+        return One(value, self._owners.get(value, ("", 0))[1] if self._is_array(value) else 0)
 
     def __call__(self, name: str, key, make, adjust=None):
         """What `make()` gave for a key that is the same, see `compared`, or gives now.
@@ -101,14 +102,18 @@ class Kept:
         parts = value if isinstance(value, tuple) else (value,)
         if before is not value:
             for part in before if isinstance(before, tuple) else (before,):
-                if owners.get(id(part), ("", 0))[0] == name and not any(part is other for other in parts):
-                    del owners[id(part)]
+                if self._is_array(part) and owners.get(part, ("", 0))[0] == name and not any(
+                        part is other for other in parts):
+                    del owners[part]
         for part in parts:
-            if isinstance(part, self._device.array_type) and owners.get(id(part), none)[0] == name:
-                owners[id(part)] = name, next(self._versions)  # what a step hands on is not its own
+            if self._is_array(part) and owners.get(part, none)[0] == name:
+                owners[part] = name, next(self._versions)  # what a step hands on is not its own
 
-    def __getstate__(self):
-        return {"_device": self._device, "_entries": {}, "_owners": {}, "_versions": itertools.count(1)}  # made anew
+    def _is_array(self, value):
+        return self._device is not None and isinstance(value, self._device.array_type)
+
+    def __reduce__(self):
+        return Kept, (self._device,)  # made anew
 
 
 def same(a, b) -> bool:

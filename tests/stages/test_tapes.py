@@ -1,5 +1,7 @@
 """What is made again on a tape is what is made anew, whatever has changed; replayed, it takes new contents."""
 
+import gc
+
 import numpy as np
 import pytest
 from devices import KINDS
@@ -14,6 +16,7 @@ from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.sensor.collect import retime as collect_for
 from gpusim.kernels.sensor.noise import noise, redraw
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.program.kept import Kept
 
 RANDOM = np.random.default_rng(3)
 BAYER = np.array([[0, 1], [1, 2]], np.int32)
@@ -199,3 +202,24 @@ def test_a_computation_that_fails_leaves_no_trace(device):
     with noted(tape):
         result = chain(device, content, table, 0.4)
     np.testing.assert_array_equal(values(device, result), values(device, chain(device, content, table, 0.4)))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_an_array_is_not_taken_for_one_that_is_gone(device):
+    """What a step that failed had given is freed, and Python gives its place, and its `id`, to other arrays."""
+    device = open_device(device)
+    for _ in range(20):
+        kept, gone = Kept(device), []
+        for name in range(20):
+            gone.append(id(kept(f"first {name}", 1, lambda: device.empty((2, 3)))))
+            with pytest.raises(ZeroDivisionError):
+                kept(f"first {name}", 2, lambda: 1 / 0)
+        gc.collect()
+        for name in range(20):
+            made = kept(f"second {name}", 1, lambda: device.empty((2, 3)))
+            before = kept.one(made)
+            assert kept(f"second {name}", 2, lambda: device.empty((2, 3))) is made  # written again, as by tapes
+            assert kept.one(made).version > before.version
+        if {id(value) for _, value, _ in kept._entries.values()} & {*gone}:
+            return
+    pytest.skip("no place was given again")
