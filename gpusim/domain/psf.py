@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from scipy.special import erf
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -81,11 +82,9 @@ class PointSpread:
             return spreads
         (rows, cols), cos, sin = spreads.shape[1:], x / np.hypot(y, x), y / np.hypot(y, x)
         v, u = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-        from scipy.ndimage import map_coordinates  # half a second, and seldom needed
-
         # back into the table's frame, where the field point lies on +x
         from_ = [v * cos - u * sin + (rows - 1) / 2, v * sin + u * cos + (cols - 1) / 2]
-        turned = np.stack([map_coordinates(one, from_, order=3, mode="constant") for one in spreads])
+        turned = np.stack([scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads])
         return turned / turned.sum(axis=(1, 2), keepdims=True)
 
 

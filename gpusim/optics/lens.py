@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
@@ -50,9 +51,8 @@ class PupilLens:
             kernel[:] = self._kernel(wavelength * 1e-9 * optics.working_f_number / self.pitch, wave, size,
                                      (shift * y - self.displacement[0], shift * x - self.displacement[1]))
             if optics.diffuser:
-                from scipy.ndimage import fourier_gaussian  # half a second, and seldom needed
-
-                kernel[:] = np.fft.ifft2(fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)).real
+                spectrum = scipy.ndimage.fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)
+                kernel[:] = np.fft.ifft2(spectrum).real
         return out / out.sum(axis=(1, 2), keepdims=True)
 
     def _kernel(self, q, wave, size, shift):
@@ -133,10 +133,8 @@ def wavelength_nodes(wavelengths):
     wavelengths = np.asarray(wavelengths, np.float64)
     if len(wavelengths) <= NODES:
         return wavelengths, np.eye(len(wavelengths))
-    from scipy.interpolate import CubicSpline  # half a second, and seldom needed
-
     nodes = np.linspace(wavelengths[0], wavelengths[-1], NODES)
-    return nodes, CubicSpline(nodes, np.eye(NODES))(wavelengths)
+    return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(NODES))(wavelengths)
 
 
 def spread_radius(optics: Optics, wavelengths, pitch) -> float:

@@ -7,7 +7,7 @@ changes.
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline, RectBivariateSpline
+import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
@@ -111,8 +111,8 @@ def _spline_radial(outline, wave):
         t = np.linspace(0, 1, count + 1)
         s = t * t * (3 - 2 * t)
         values = np.real(found(s, np.zeros_like(s)))
-        rest = np.abs(CubicSpline(t[::2], values[::2])(t) - values).max()
-    spline = CubicSpline(t, values)
+        rest = np.abs(scipy.interpolate.CubicSpline(t[::2], values[::2])(t) - values).max()
+    spline = scipy.interpolate.CubicSpline(t, values)
     return lambda sx, sy: spline(0.5 - np.sin(np.arcsin(1 - 2 * np.hypot(sx, sy)) / 3))  # the cubic's inverse
 
 
@@ -121,8 +121,9 @@ def _spline_polar(outline, wave):
     sides, inner = cutoff_polygon(outline)
     size = (table.shape[1] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[2])
-    splines = [[RectBivariateSpline(rays[part], nodes, component[part]) for component in (table[0].real, table[0].imag)]
-               for part in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
+    parts = table[0].real, table[0].imag
+    splines = [[scipy.interpolate.RectBivariateSpline(rays[own], nodes, part[own]) for part in parts]
+               for own in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
 
     def otf(sx, sy):
         s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi

@@ -17,8 +17,7 @@ from functools import lru_cache
 from math import sqrt
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.sparse import csr_array
+import scipy
 from scipy.special import j1
 
 from gpusim.domain.optics import Optics
@@ -88,7 +87,7 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
     places = [((length - n) // 2 + at + 0.5) * count / length - 0.5
               for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)]
-    return map_coordinates(coarse, np.meshgrid(*places, indexing="ij"), order=3, mode="grid-wrap")
+    return scipy.ndimage.map_coordinates(coarse, np.meshgrid(*places, indexing="ij"), order=3, mode="grid-wrap")
 
 
 def blurred_level(image, q: float, margin: int) -> float:
@@ -100,7 +99,7 @@ def blurred_level(image, q: float, margin: int) -> float:
     level = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size)
     if inside.max(initial=0) <= SPIKY * level:
         return level
-    return sqrt(np.square(gaussian_filter(inside, 0.42 * q), dtype=np.float64).mean())
+    return sqrt(np.square(scipy.ndimage.gaussian_filter(inside, 0.42 * q), dtype=np.float64).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +196,7 @@ def _means(n, period, cells, border, wide):
     share = np.clip((first + 1 - start) * step, 0, 1)
     entries = np.concatenate([light * share, light * (1 - share)]) / step
     places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
-    return csr_array((entries, places), shape=(wide * cells, n))
+    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n))
 
 
 @lru_cache(maxsize=32)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from scipy.special import jv
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -85,9 +86,7 @@ class DepthPlan:
         nearer = self.layer < layer
         if not nearer.any():
             return content, self.layer == layer, self.confusion
-        from scipy.ndimage import distance_transform_edt  # half a second, and seldom needed
-
-        rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True)
+        rows, cols = scipy.ndimage.distance_transform_edt(nearer, return_distances=False, return_indices=True)
         return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 
     def shares(self, coverage, confusion):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.interpolate import BSpline, RectBivariateSpline
+import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.lengths import fft_length
@@ -166,7 +166,7 @@ class _Window:
             inner = self.nodes[2:-2]
         self.knots = np.array([self.nodes[0], *inner, self.nodes[-1]])
         self._padded = np.pad(self.knots, self.degree, mode="edge")
-        self.collocation = BSpline.design_matrix(self.nodes, self._padded, self.degree).toarray()
+        self.collocation = scipy.interpolate.BSpline.design_matrix(self.nodes, self._padded, self.degree).toarray()
 
     def at(self, pixels):
         """Cell of each pixel, and the weights of its degree + 1 kernels, which sum to one."""
@@ -175,7 +175,7 @@ class _Window:
             part = np.sin(np.pi / 2 * np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)) ** 2
             return cell, np.stack([1 - part, part], axis=1)
         inside = np.clip(pixels, self.knots[0], self.knots[-1])
-        basis = BSpline.design_matrix(inside.astype(np.float64), self._padded, self.degree).toarray()
+        basis = scipy.interpolate.BSpline.design_matrix(inside.astype(np.float64), self._padded, self.degree).toarray()
         return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
 
 
@@ -288,8 +288,8 @@ def _between(nodes, vectors, rows, cols, grid=True):
                                                                   values)
             continue
         degrees = [min(3, count - 1) for count in counts]
-        out[k] = RectBivariateSpline(*nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1])(rows, cols,
-                                                                                                  grid=grid)
+        spline = scipy.interpolate.RectBivariateSpline(*nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1])
+        out[k] = spline(rows, cols, grid=grid)
     return out
 
 

@@ -15,7 +15,6 @@ from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import PREDICTION_FACTOR
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
-from gpusim.planner.memory import bytes_of
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
@@ -170,6 +169,5 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,
-        gains, folded, fft_free, taps, spare, question.q, around.period, slope,
-        bytes_of(question, around.period, planes, by_depth), planes.watch, question.limit, notes.models, notes.left_out,
-        notes.predicted, around.not_met)
+        gains, folded, fft_free, taps, spare, question.q, around.period, slope, 0,
+        planes.watch, question.limit, notes.models, notes.left_out, notes.predicted, around.not_met)
