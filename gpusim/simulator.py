@@ -7,7 +7,7 @@ from operator import is_
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, noted
-from gpusim.domain.camera import Camera
+from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
@@ -36,7 +36,8 @@ class Simulator:
     each side that take part in the blur; by default BORDER_REACH, or as many as the tolerance needs.
     fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4). period: of the transforms
     [sample], for the reference: see `gpusim.planner.plan.plan`.
-    Raises DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can hold).
+    Raises BadData for what is no camera, DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can
+    hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
@@ -53,7 +54,7 @@ class Simulator:
 
     def _connect(self, camera, kept, tables):
         """Kept: what depends on the camera. Tables: of its lens, patterns of its chip, for frames of the same kind."""
-        self.camera, self.kept, self.tables = camera, kept, tables
+        self.camera, self.kept, self.tables = checked_camera(camera), kept, tables
         self.readout = kept("readout", camera.sensor, lambda: Readout(camera.sensor, self.device, tables))
         self.imaging = Imaging(camera, self.device, tables)
         return self

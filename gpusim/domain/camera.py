@@ -3,10 +3,17 @@
 from dataclasses import dataclass, field
 
 from gpusim.domain.display import Display
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
+
+
+def checked_camera(camera) -> "Camera":
+    """Return a camera as it is. Raises BadData for anything else."""
+    if not isinstance(camera, Camera):
+        raise BadData(f"camera: {type(camera).__name__}, wanted a Camera, such as of open_camera")
+    return camera
 
 
 @dataclass(frozen=True)

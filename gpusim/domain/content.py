@@ -332,7 +332,12 @@ class Picture(Content):
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "curve", np.ascontiguousarray(self.curve, np.float32))
+        try:
+            with np.errstate(over="ignore"):  # infinite light is refused by `check`
+                curve = np.ascontiguousarray(np.asarray(self.curve).astype(np.float32, casting="same_kind", copy=False))
+        except (TypeError, ValueError):
+            raise BadData("picture: curve is no array of real numbers; wanted the light of every code") from None
+        object.__setattr__(self, "curve", curve)
 
     @property
     def planes(self):

@@ -11,6 +11,8 @@ from gpusim.program.outputs import OUTPUTS
 from gpusim.program.planning import planned_by
 from gpusim.program.program import Before, Program
 
+MOST = 2**16  # items: each has a program of its own
+
 
 class Batch:
     """`count` frames a call in one array of the device, by a Simulator.
@@ -21,10 +23,10 @@ class Batch:
     """
 
     def __init__(self, simulator, count: int, output: str = "codes"):
-        if output not in OUTPUTS:
+        if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
-        if not isinstance(count, int | np.integer) or count < 1:
-            raise OutOfRange("count of a batch", count, "a whole number, count >= 1")
+        if not isinstance(count, int | np.integer) or not 1 <= count <= MOST:
+            raise OutOfRange("count of a batch", count, f"a whole number, 1 .. {MOST}")
         self.count, self.output = int(count), output
         self._simulator, self._kept = simulator, Kept(simulator.device)
         self._items: list[Program | None] = [None] * self.count
@@ -41,7 +43,7 @@ class Batch:
         given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
                  "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
         values = {name: self._each(name, value) for name, value in given.items()}
-        if not isinstance(frame, Iterable):
+        if isinstance(frame, int | np.integer):
             values["frame"] = [frame + item for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
         if len(sizes) > 1:
@@ -68,7 +70,7 @@ class Batch:
 
     def _each(self, name, value):
         """A value for every item."""
-        if not isinstance(value, Iterable) or isinstance(value, str):
+        if not isinstance(value, Iterable) or isinstance(value, str) or getattr(value, "shape", None) == ():
             return [value] * self.count
         values = list(value)
         if len(values) != self.count:
@@ -81,8 +83,10 @@ class Batch:
         if program is not None and program.simulator.camera is camera:
             return program
         by = planned_by(self._simulator.update(camera))
-        if program is not None and same(planned_by(program.simulator), by):
-            return program.update(camera=camera)
+        if program is not None:
+            if same(planned_by(program.simulator), by):
+                return program.update(camera=camera)
+            program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
         alike = next((other for other in in_use if same(planned_by(other.simulator), by)), None)
         simulator = self._simulator.apart(camera, Kept() if alike is None and in_use else (

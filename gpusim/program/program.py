@@ -277,6 +277,7 @@ class Program:
             return
         light = look.light()
         if light[4]:
+            self.before.looked, self._last = (), None  # it is refused again where it is not taken away
             raise BadData(f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
             self._metered = chosen(self.simulator, light, look.shape, look.seconds)
@@ -296,7 +297,7 @@ class Program:
         seed, frame: of the noise, from "raw" on. Raises UnknownName, and BadData for the irradiance of a blur that
         varies over the field.
         """
-        if name not in OUTPUTS:
+        if name not in [*OUTPUTS]:
             raise UnknownName("output", str(name), OUTPUTS)
         return output_of(self, name, seed, frame)
 

@@ -16,7 +16,7 @@ SLOTS = 2  # one is computed from while the other is written
 def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
            exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
     """One frame of every scene: see `Simulator.stream`."""
-    if output not in OUTPUTS:
+    if output not in [*OUTPUTS]:
         raise UnknownName("output", str(output), OUTPUTS)
     if first < 0:
         raise OutOfRange("first", first, "a frame number, 0 or more")

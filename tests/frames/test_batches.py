@@ -128,11 +128,42 @@ def test_light_that_is_not_finite_is_named(device):
     np.testing.assert_array_equal(host(simulator.device, good)[0], host(simulator.device, own))
 
 
+def good_and_damaged():
+    """A scene, and one like it with light that is not finite and not looked at on the host."""
+    good = cubes(1)[0]
+    values = good.content.values.copy().view(gs.domain.memory.Pinned)
+    values[3, 20, 30] = np.nan
+    return good, replace(good, content=gs.Cube(good.wavelengths, values), name="the damaged one")
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_light_that_is_not_finite_is_refused_again(device):
+    good, damaged = good_and_damaged()
+    program = gs.Simulator(CAMERA, device=device).program(good, 0.01)
+    program.codes()
+    program.update(scene=damaged)
+    for _ in range(3):
+        with pytest.raises(BadData, match="the damaged one"):
+            program.codes()
+            program.judge()
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_what_an_item_saw_is_judged_where_its_lens_changes(device):
+    good, damaged = good_and_damaged()
+    wide, narrow = (camera_with(optics={"f_number": n}) for n in (2.0, 4.0))
+    batch = gs.Simulator(CAMERA, device=device).batch(2, "raw")
+    batch(good, camera=wide, exposure_time=0.01)
+    batch([damaged, good], camera=wide, exposure_time=0.01)
+    with pytest.raises(BadData, match="the damaged one"):
+        batch(good, camera=[narrow, wide], exposure_time=0.01)
+
+
 def test_refuses(monkeypatch):
     simulator, scenes = gs.Simulator(CAMERA, device="numpy"), cubes()
     with pytest.raises(UnknownName, match="output"):
         simulator.batch(2, "film")
-    for count in (0, -1, 2.5, "3"):
+    for count in (0, -1, 2.5, "3", 10**9):
         with pytest.raises(OutOfRange, match="count of a batch"):
             simulator.batch(count)
     batch = simulator.batch(COUNT, "raw")
@@ -146,6 +177,12 @@ def test_refuses(monkeypatch):
         batch([1, 2, 3])
     with pytest.raises(BadData, match="scenes of 60x40, 96x64 pixels; wanted one size"):
         batch([*scenes[:2], *cubes(1, (60, 40))])
+    with pytest.raises(UnknownName, match="output"):
+        simulator.batch(2, ["raw"])
+    with pytest.raises(BadData, match="camera: str, wanted a Camera"):
+        batch(scenes, camera="phone")
+    with pytest.raises(OutOfRange, match="frame = None"):
+        batch(scenes, frame=None, exposure_time=0.01)
     binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
         batch(scenes, camera=[CAMERA, binned, CAMERA], exposure_time=0.01)

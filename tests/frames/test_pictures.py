@@ -253,6 +253,8 @@ def test_a_camera_looks_at_its_own_pictures():
     (lambda: gs.picture(Tensor(frame(), dtype="torch.bfloat16")), BadData, "codes of type torch.bfloat16"),
     (lambda: gs.picture(frame()[:0]), BadData, "zero-size"),
     (lambda: gs.picture(frame(kind=np.uint16), curve=np.ones(256)), BadData, r"wanted \(65536,\) for uint16"),
+    (lambda: gs.picture(frame(), curve="srgb"), BadData, "curve is no array of real numbers"),
+    (lambda: gs.picture(frame(), curve=np.ones(256, complex)), BadData, "curve is no array of real numbers"),
     (lambda: gs.picture(frame(), light="D66"), UnknownName, "D66"),
     (lambda: gs.picture(frame(), luminance=0), OutOfRange, "luminance"),
     (lambda: gs.picture(frame(), border="round"), UnknownName, "border"),
