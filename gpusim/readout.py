@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device, open_device
-from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.kernels.processor.interpolate import least_frame
@@ -172,8 +172,7 @@ class Readout:
 
     def average(self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
-        if not (count >= 1 and count == int(count)):
-            raise OutOfRange("count of averaged frames", count, "a whole number, count >= 1")
+        count = checked_count("count of averaged frames", count)
         total, kind = 0, np.float64 if self.sensor.bits == FLOAT_BITS else np.uint64
         batch = max(1, min(BATCH // prod(chip_mean.shape), 2**15, count))
         for start in range(0, count, batch):

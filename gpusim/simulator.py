@@ -8,7 +8,7 @@ from operator import is_
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, noted
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
@@ -111,8 +111,7 @@ class Simulator:
     def shoot(self, exposure: Exposure, count: int = 1, *, seed: int = 0, first: int = 0,
               error: Error | None = None) -> Iterator[Frame]:
         """`count` noisy frames of an exposure, numbered from `first`; error: of its mean electrons, where known."""
-        if count < 1:
-            raise OutOfRange("count of frames", count, "a whole number, count >= 1")
+        checked_count("count of frames", count)
         shots = Shots(self, exposure)
         for number in range(first, first + count):
             yield shots.frame(seed=seed, frame=number, error=error, first=number == first)

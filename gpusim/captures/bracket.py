@@ -4,6 +4,7 @@ import dataclasses
 from math import prod
 from time import perf_counter
 
+from gpusim.domain.errors import OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
@@ -35,7 +36,8 @@ def lengthened(simulator: Simulator, exposure: Exposure, exposure_time: float) -
 
     Raises OutOfRange.
     """
-    checked_time(exposure_time)
+    if checked_time(exposure_time) is None:
+        raise OutOfRange("exposure_time", "None", "a time [s]: the exposure has one of its own")
     device, shape, begun = simulator.device, exposure.mean.shape, perf_counter()
     with device.timed() as ms:
         mean = chip(device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1])),

@@ -1,6 +1,7 @@
 """What moves, before a rolling shutter."""
 
 import dataclasses
+from collections.abc import Iterable
 from math import prod
 from time import perf_counter
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, DoesNotFit
 from gpusim.domain.exposure import checked_gain, checked_time
+from gpusim.domain.scene import checked_scene
 from gpusim.frame import Exposure
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.planner.shutter import shutter_weights
@@ -28,7 +30,9 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
     """
     checked_time(exposure_time)
     checked_gain(gain)
-    scenes, begun = list(scenes), perf_counter()
+    if not isinstance(scenes, Iterable):
+        raise BadData(f"moving scene: {type(scenes).__name__}, wanted several scenes, such as [scene]")
+    scenes, begun = [checked_scene(scene) for scene in scenes], perf_counter()
     device, imaging, sensor = simulator.device, simulator.imaging, simulator.camera.sensor
     if not scenes or len(scenes) != len(np.atleast_1d(times)):
         raise BadData(f"moving scene: {len(scenes)} scenes and {len(np.atleast_1d(times))} times; wanted as many, "

@@ -1,6 +1,7 @@
 """Illuminants by name, and the radiance of white in them."""
 
 import re
+from numbers import Real
 
 import numpy as np
 
@@ -22,6 +23,8 @@ def illuminant(name: str, wavelengths=None) -> Spectrum:
         blackbody: 300 .. 1100 nm by 1 nm). Zero outside a CIE table; a blackbody has no limits.
     Raises UnknownName and OutOfRange.
     """
+    if not isinstance(name, str):
+        raise UnknownName("light", str(name), illuminant_names())
     match = TEMPERATURE.fullmatch(name.lower())
     if match and match[1] == "blackbody":
         return blackbody(float(match[2]), np.arange(300.0, 1101.0) if wavelengths is None else wavelengths)
@@ -80,8 +83,8 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
 
     light: relative power in energy units. Raises OutOfRange for luminance <= 0 and for a light without visible power.
     """
-    if not 0 < luminance <= BRIGHTEST:
-        raise OutOfRange("luminance", f"{luminance:g} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2")
+    if not (isinstance(luminance, Real) and 0 < luminance <= BRIGHTEST):
+        raise OutOfRange("luminance", f"{luminance} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2")
     brightness = xyz(light)[1]
     if not brightness > 0:
         raise OutOfRange(f"luminous power of {light.name or 'the light'}", f"{brightness:g}", "> 0 in 360 .. 830 nm")

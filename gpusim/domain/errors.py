@@ -4,6 +4,7 @@ The command line prints `str(error)` on one line and exits with status 2; nothin
 """
 
 import difflib
+from numbers import Integral
 
 LONGEST = 480  # letters of a message, so that "gpusim: " and a program's own words still fit on a line of 500
 LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters of what a message repeats from the input
@@ -76,6 +77,14 @@ class DoesNotFit(GpusimError):
 
 class DeviceError(GpusimError):
     """A device that is missing, unusable or failed, with the reason the driver gave."""
+
+
+def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -> int:
+    """Return a whole number of things as it is. Raises OutOfRange."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
+        raise OutOfRange(key, shown(value), f"a whole number, {least}" + (
+            " or more" if most == float("inf") else f" .. {most}"))
+    return int(value)
 
 
 def near(name: str, known) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.program.kept import Kept, same
 from gpusim.program.outputs import OUTPUTS
@@ -25,9 +25,7 @@ class Batch:
     def __init__(self, simulator, count: int, output: str = "codes"):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
-        if not isinstance(count, int | np.integer) or not 1 <= count <= MOST:
-            raise OutOfRange("count of a batch", count, f"a whole number, 1 .. {MOST}")
-        self.count, self.output = int(count), output
+        self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
         self._simulator, self._kept = simulator, Kept(simulator.device)
         self._items: list[Program | None] = [None] * self.count
 

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame, Later
-from gpusim.kernels.sensor.noise import redraw
+from gpusim.kernels.sensor.noise import check_drawn, redraw
 from gpusim.planner.rendering import transforms_of, without_tone
 from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept, One
@@ -111,8 +111,10 @@ class Shots:
     def frame(self, *, seed: int = 0, frame: int = 0, error: Error | None = None, first: bool = True) -> Frame:
         """One picture with its report. error: of the mean electrons, where known. first: of this exposure.
 
-        It is made as far as it is asked for, unless a program will write to the exposure's arrays before.
+        It is made as far as it is asked for, unless a program will write to the exposure's arrays before. Raises
+        OutOfRange, for what is wrong with the rest when that is asked for.
         """
+        check_drawn(seed, frame, None, 0)  # now, not when it is asked for
         exposure, shot = self.exposure, _Shot(self, seed, frame, first)
 
         def report():

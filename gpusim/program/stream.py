@@ -5,7 +5,7 @@ from collections.abc import Generator, Iterable, Iterator
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, UnknownName, checked_count
 from gpusim.domain.foreign import CPU, dlpack_kind, to_host
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.program.outputs import OUTPUTS
@@ -18,8 +18,7 @@ def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: i
     """One frame of every scene: see `Simulator.stream`."""
     if output not in [*OUTPUTS]:
         raise UnknownName("output", str(output), OUTPUTS)
-    if first < 0:
-        raise OutOfRange("first", first, "a frame number, 0 or more")
+    checked_count("first", first, 0)
     if not isinstance(scenes, Iterable):
         raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
     arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None

@@ -7,7 +7,7 @@ import pytest
 from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.program.kept import One, same
 
 SIZE = (96, 64)
@@ -219,6 +219,9 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
                 np.testing.assert_array_equal(getattr(frame, part), getattr(whole, part))
         return {*ms}
 
+    for wrong in ({"seed": -1}, {"seed": 2**64}, {"frame": 2**32}):
+        with pytest.raises(OutOfRange):
+            simulator(scene, **wrong)
     assert stages() == set()
     assert stages("mean") == set()
     assert stages("raw", "raw") == {"sensor.noise"}
@@ -231,3 +234,20 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     for frame in (first, shot):
         np.testing.assert_array_equal(frame.raw, values[0])
         np.testing.assert_array_equal(frame.rgb, values[1])
+
+
+def test_mistakes_are_said_in_one_line():
+    simulator, scene = gs.Simulator(gs.open_camera("phone"), device="numpy"), gs.chart("flat", size=(24, 18))
+    exposure = simulator.expose(scene, 0.01)
+    codes = np.zeros((18, 24, 3), np.uint8)
+    for ask in (lambda: next(simulator.shoot(exposure, "2")), lambda: next(simulator.shoot(exposure, 1.5)),
+                lambda: next(simulator.stream([scene], first="a")), lambda: gs.average(simulator, exposure, "2"),
+                lambda: gs.lengthened(simulator, exposure, None), lambda: gs.picture(codes, luminance="a"),
+                lambda: simulator.batch(True)):
+        with pytest.raises(OutOfRange, match="allowed is"):
+            ask()
+    for ask in (lambda: gs.expose_moving(simulator, None, [0.0]), lambda: gs.expose_moving(simulator, [1], [0.0])):
+        with pytest.raises(BadData, match="wanted"):
+            ask()
+    with pytest.raises(UnknownName, match="light"):
+        gs.picture(codes, light=None)
