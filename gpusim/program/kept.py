@@ -35,12 +35,11 @@ class Kept:
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
         self._owners: WeakKeyDictionary = WeakKeyDictionary()  # of arrays that are written again: step and version
         self._versions = itertools.count(1)
-        self._beside: Kept | None = None
 
     def beside(self) -> "Kept":
         """Another one, in whose keys arrays of this one are known; both end together."""
         other = Kept(self._device)
-        other._beside, other._owners, other._versions = self, self._owners, self._versions
+        other._owners, other._versions = self._owners, self._versions
         return other
 
     def one(self, value) -> One:
@@ -114,7 +113,7 @@ class Kept:
         return self._device is not None and isinstance(value, self._device.array_type)
 
     def __reduce__(self):
-        return (Kept, (self._device,)) if self._beside is None else (Kept.beside, (self._beside,))  # made anew
+        return Kept, (self._device,)  # made anew
 
 
 def same(a, b) -> bool:

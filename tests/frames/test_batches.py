@@ -1,6 +1,5 @@
 """Items of a batch are the frames of programs of their own; what they have in common is computed once."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -190,15 +189,3 @@ def test_refuses(monkeypatch):
     monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000)
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)
-
-
-@pytest.mark.parametrize("device", KINDS)
-def test_a_pickled_batch_goes_on(device):
-    """What its items have in common stays so: another scene is not taken for the one before."""
-    simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes()
-    batch = simulator.batch(COUNT, "raw")
-    batch(scenes, exposure_time=0.01)
-    again = pickle.loads(pickle.dumps(batch))
-    for order in (scenes, scenes[::-1], scenes):
-        found = host(again._simulator.device, again(order, seed=3, exposure_time=0.01))
-        np.testing.assert_array_equal(found, host(simulator.device, batch(order, seed=3, exposure_time=0.01)))
