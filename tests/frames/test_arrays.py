@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import devices
 import numpy as np
 import pytest
 from devices import ALL, ALL_KINDS, DEVICES, GPUS
@@ -26,7 +27,6 @@ from foreign_arrays import (
 import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.buffers import OpenCLArray
-from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import dlpack_kind, to_host, type_of
 from gpusim.planner.facts import Facts
@@ -332,10 +332,7 @@ def test_warp_is_told_of_cuda_memory_rightly(monkeypatch):
 @pytest.fixture
 def apart():
     """An OpenCL device that keeps its memory to itself, as a GPU does."""
-    opened = open_device("opencl")
-    device = OpenCLDevice(opened.cl_device, opened.name)
-    device.on_host, device._copies = False, device._cl.CommandQueue(device.context)
-    return device
+    return devices.apart(is_gpu=False)
 
 
 def test_parts_of_memory_apart_from_the_host(apart):

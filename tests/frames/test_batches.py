@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import cameras
 import numpy as np
 import pytest
+from cameras import PHONE, camera_with
 from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
@@ -11,24 +13,10 @@ from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
 from gpusim.program.host import undeclared
 
 SIZE, COUNT = (96, 64), 3
-CAMERA = gs.open_camera("phone")
-
-
-def camera_with(base=CAMERA, **parts):
-    """A camera whose parts have other settings, `noise` that of its sensor."""
-    for part, settings in parts.items():
-        if part == "noise":
-            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
-        else:
-            base = replace(base, **{part: replace(getattr(base, part), **settings)})
-    return base
 
 
 def cubes(count=COUNT, size=SIZE):
-    picture = gs.chart("deadleaves", size=size)
-    bands = picture.content.bands_at(slice(None)).astype(np.float32)
-    return [replace(picture, content=gs.Cube(picture.wavelengths, bands * np.float32(1 + 0.1 * k)), name=f"leaves {k}")
-            for k in range(count)]
+    return cameras.cubes(count, size)
 
 
 def host(device, array):
@@ -39,7 +27,7 @@ def host(device, array):
 @pytest.mark.parametrize("output", ["irradiance", "electrons", "mean", "raw", "linear", "codes"])
 def test_items_of_several_scenes(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the batch's."""
-    simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes()
+    simulator, scenes = gs.Simulator(PHONE, device=device, tolerance=4e-4), cubes()
     batch = simulator.batch(COUNT, output)
     for first in (0, 5, 9):
         order = scenes[first % 2:] + scenes[:first % 2]
@@ -65,7 +53,7 @@ def test_items_of_several_settings(device, what):
     """Of scenes that change between the calls, and of settings that go to other items."""
     cameras, scenes = CAMERAS[what], cubes(2)
     count = len(cameras)
-    simulator = gs.Simulator(CAMERA, device=device, tolerance=4e-4)
+    simulator = gs.Simulator(PHONE, device=device, tolerance=4e-4)
     batch = simulator.batch(count, "codes")
     times, gains, seeds = [0.01, 0.03, 0.005][:count], [1.0, 1.0, 2.0][:count], [4, 4, 7][:count]
     for turn, scene in enumerate([scenes[0], scenes[1], scenes[1], scenes[0]]):
@@ -81,8 +69,8 @@ def test_items_of_several_settings(device, what):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_every_item_is_exposed_by_its_own_light(device):
-    simulator, scenes = gs.Simulator(CAMERA, device=device), cubes()
-    assert CAMERA.sensor.exposure_time is None
+    simulator, scenes = gs.Simulator(PHONE, device=device), cubes()
+    assert PHONE.sensor.exposure_time is None
     found = host(simulator.device, simulator.batch(COUNT, "raw")(scenes, seed=2, frame=[0, 1, 2]))
     for item, scene in enumerate(scenes):
         np.testing.assert_array_equal(found[item], simulator(scene, seed=2, frame=item).raw)
@@ -90,7 +78,7 @@ def test_every_item_is_exposed_by_its_own_light(device):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_common_steps_run_once_and_the_host_reads_nothing(device):
-    simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes(4)
+    simulator, scenes = gs.Simulator(PHONE, device=device, tolerance=4e-4), cubes(4)
     batch = simulator.batch(4, "codes")
     seconds = [0.01, 0.02, 0.03, 0.04]
     for scene in scenes:
@@ -115,7 +103,7 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_light_that_is_not_finite_is_named(device):
-    simulator, scenes = gs.Simulator(CAMERA, device=device), cubes()
+    simulator, scenes = gs.Simulator(PHONE, device=device), cubes()
     values = scenes[1].content.values.view(gs.domain.memory.Pinned)
     values[3, 20, 30] = np.nan
     scenes[1] = replace(scenes[1], content=gs.Cube(scenes[1].wavelengths, values), name="the second")
@@ -139,7 +127,7 @@ def good_and_damaged():
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_light_that_is_not_finite_is_refused_again(device):
     good, damaged = good_and_damaged()
-    program = gs.Simulator(CAMERA, device=device).program(good, 0.01)
+    program = gs.Simulator(PHONE, device=device).program(good, 0.01)
     program.codes()
     program.update(scene=damaged)
     for _ in range(3):
@@ -152,7 +140,7 @@ def test_light_that_is_not_finite_is_refused_again(device):
 def test_what_an_item_saw_is_judged_where_its_lens_changes(device):
     good, damaged = good_and_damaged()
     wide, narrow = (camera_with(optics={"f_number": n}) for n in (2.0, 4.0))
-    batch = gs.Simulator(CAMERA, device=device).batch(2, "raw")
+    batch = gs.Simulator(PHONE, device=device).batch(2, "raw")
     batch(good, camera=wide, exposure_time=0.01)
     batch([damaged, good], camera=wide, exposure_time=0.01)
     with pytest.raises(BadData, match="the damaged one"):
@@ -160,7 +148,7 @@ def test_what_an_item_saw_is_judged_where_its_lens_changes(device):
 
 
 def test_refuses(monkeypatch):
-    simulator, scenes = gs.Simulator(CAMERA, device="numpy"), cubes()
+    simulator, scenes = gs.Simulator(PHONE, device="numpy"), cubes()
     with pytest.raises(UnknownName, match="output"):
         simulator.batch(2, "film")
     for count in (0, -1, 2.5, "3", 10**9):
@@ -185,7 +173,7 @@ def test_refuses(monkeypatch):
         batch(scenes, frame=None, exposure_time=0.01)
     binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
-        batch(scenes, camera=[CAMERA, binned, CAMERA], exposure_time=0.01)
+        batch(scenes, camera=[PHONE, binned, PHONE], exposure_time=0.01)
     monkeypatch.setattr(type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000)
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)

@@ -4,34 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import PHONE, camera_with
+from devices import apart
 
 import gpusim as gs
 from gpusim.backends.opencl import OpenCLDevice
-from gpusim.backends.select import open_device
 from gpusim.domain.errors import DoesNotFit
 from gpusim.domain.sensor import FLOAT_BITS
 
-PHONE = gs.open_camera("phone")
 SIZE = (330, 250)
-
-
-def camera_with(part, base=PHONE, **settings):
-    if part == "noise":
-        return camera_with("sensor", base, noise=replace(base.sensor.noise, **settings))
-    return replace(base, **{part: replace(getattr(base, part), **settings)})
 
 
 CAMERAS = {
     "phone": PHONE,
     **{name: gs.open_camera(name) for name in ("machine-vision", "mono", "figure8")},
-    "stacked": camera_with("sensor", stacked=True),
-    "best": camera_with("processor", demosaic="best"),
-    "learned": camera_with("processor", demosaic="learned"),
-    "corrected": camera_with("processor", denoise=1.0, shading=True, defects="detect"),
-    "no converter": camera_with("sensor", bits=FLOAT_BITS),
-    "noise of every kind": camera_with("noise", hot_pixels=0.01, hot_current=10.0, dsnu=1.0, telegraph_pixels=0.01,
-                                       telegraph=5.0, row=1.0),
-    "binned": camera_with("sensor", binning=(2, 2), binning_mode="charge"),
+    "stacked": camera_with(sensor={"stacked": True}),
+    "best": camera_with(processor={"demosaic": "best"}),
+    "learned": camera_with(processor={"demosaic": "learned"}),
+    "corrected": camera_with(processor={"denoise": 1.0, "shading": True, "defects": "detect"}),
+    "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
+    "noise of every kind": camera_with(noise={"hot_pixels": 0.01, "hot_current": 10.0, "dsnu": 1.0,
+                                              "telegraph_pixels": 0.01, "telegraph": 5.0, "row": 1.0}),
+    "binned": camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"}),
 }
 
 
@@ -40,15 +34,6 @@ def counting(device):
     taken, allocate = [], device._allocate
     device._allocate = lambda nbytes: taken.append(nbytes) or allocate(nbytes)
     return taken
-
-
-def apart():
-    """A CPU's OpenCL device whose memory is apart from the host's, as a GPU's is."""
-    shared = open_device("opencl:pocl")
-    device = OpenCLDevice(shared.cl_device, shared.name)
-    device.is_gpu, device.on_host = True, False
-    device._copies = device._cl.CommandQueue(device.context)
-    return device
 
 
 def scene_of(form):

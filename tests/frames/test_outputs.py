@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import camera_with
 from devices import ALL_KINDS
 
 import gpusim as gs
@@ -13,10 +14,6 @@ from gpusim.program.outputs import OUTPUTS
 SIZE = (72, 56)
 CAMERA = gs.open_camera("phone")
 SECONDS = 0.01
-
-
-def camera_with(**parts):
-    return replace(CAMERA, **{part: replace(getattr(CAMERA, part), **settings) for part, settings in parts.items()})
 
 
 def given(simulator, scene, name):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from devices import ALL_KINDS, KINDS
+from devices import ALL_KINDS, KINDS, apart
 from foreign_arrays import METERED, ByDlpack, ByInterface, ByNumpy, Tensor, aligned, same_bits
 from PIL import Image
 
@@ -159,15 +159,14 @@ def test_pictures_are_decoded_to_one_place(device, monkeypatch):
 
 def test_a_stream_sends_bytes():
     """To memory apart from the host's, as a GPU's is: three bytes a pixel, six of 16 bits."""
-    opened, sent = open_device("opencl"), []
+    sent = []
 
     class Apart(OpenCLDevice):
         def send(self, values, *others):
             sent.append((values.nbytes, values.dtype.type))
             return super().send(values, *others)
 
-    device = Apart(opened.cl_device, opened.name)
-    device.on_host, device._copies = False, device._cl.CommandQueue(device.context)
+    device = apart(Apart, is_gpu=False)
     simulator = gs.Simulator(METERED, device=device)
     kinds = [np.uint8, np.uint8, np.uint16, np.uint8, np.uint16]
     scenes = [gs.picture((Tensor if number % 2 else np.array)(frame(number, kind)))

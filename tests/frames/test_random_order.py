@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cameras import camera_with
 from devices import ALL_KINDS
 
 import gpusim as gs
@@ -17,16 +18,6 @@ OUTPUTS = ("electrons", "mean", "chip_mean", "raw", "camera", "linear", "xyz", "
 BATCHES = {"raw": 3, "codes": 2, "mean": 2}  # frames a call
 PARTS = ("mean", "raw", "linear", "rgb")
 TIMES, GAINS = (0.01, 0.02, None), (1.0, 2.0)
-
-
-def camera_with(base, **parts):
-    """A camera whose parts have other settings, `noise` that of its sensor."""
-    for part, settings in parts.items():
-        if part == "noise":
-            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
-        else:
-            base = replace(base, **{part: replace(getattr(base, part), **settings)})
-    return base
 
 
 def cameras():

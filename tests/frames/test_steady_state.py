@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 
+import cameras
 import numpy as np
 import pytest
 from devices import KINDS
@@ -23,18 +24,11 @@ from gpusim.program.program import Program
 SIZE, FRAMES = (64, 48), 5
 
 
-def camera_with(base=None, **parts):
-    """The phone or another camera whose parts have other settings, `noise` that of its sensor."""
-    base = base or PHONE
-    for part, settings in parts.items():
-        if part == "noise":
-            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
-        else:
-            base = replace(base, **{part: replace(getattr(base, part), **settings)})
-    return base
+PHONE = cameras.camera_with(processor={"demosaic": "bilinear"})
 
 
-PHONE = camera_with(gs.open_camera("phone"), processor={"demosaic": "bilinear"})
+def camera_with(base=PHONE, **parts):
+    return cameras.camera_with(base, **parts)
 
 
 def clear_pixels():

@@ -3,13 +3,13 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import cameras
+import devices
 import numpy as np
 import pytest
 from devices import ALL_KINDS
 
 import gpusim as gs
-from gpusim.backends.opencl import OpenCLDevice
-from gpusim.backends.select import open_device
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
 SIZE = (96, 64)
@@ -18,10 +18,7 @@ CAMERA = replace(CAMERA, sensor=replace(CAMERA.sensor, noise=replace(CAMERA.sens
 
 
 def cubes(count, size=SIZE):
-    picture = gs.chart("deadleaves", size=size)
-    bands = picture.content.bands_at(slice(None)).astype(np.float32)
-    return [replace(picture, content=gs.Cube(picture.wavelengths, bands * np.float32(1 + 0.1 * k)), name=f"leaves {k}")
-            for k in range(count)]
+    return cameras.cubes(count, size)
 
 
 def taken(frames, device):
@@ -30,12 +27,7 @@ def taken(frames, device):
 
 @pytest.fixture(scope="module")
 def apart():
-    """A CPU's OpenCL device whose memory is apart from the host's, as a GPU's is."""
-    shared = open_device("opencl:pocl")
-    own = OpenCLDevice(shared.cl_device, shared.name)
-    own.is_gpu, own.on_host = True, False
-    own._copies = own._cl.CommandQueue(own.context)
-    return own
+    return devices.apart()
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

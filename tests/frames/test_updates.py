@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import camera_with
 from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
@@ -11,16 +12,6 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.program.kept import One, same
 
 SIZE = (96, 64)
-
-
-def camera_with(base, **parts):
-    """A camera whose parts have other settings, `noise` that of its sensor."""
-    for part, settings in parts.items():
-        if part == "noise":
-            base = replace(base, sensor=replace(base.sensor, noise=replace(base.sensor.noise, **settings)))
-        else:
-            base = replace(base, **{part: replace(getattr(base, part), **settings)})
-    return base
 
 
 BASE = camera_with(gs.open_camera("phone"), processor={"demosaic": "adaptive"}, sensor={"exposure_time": 0.01},
