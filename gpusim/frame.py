@@ -88,6 +88,8 @@ class _Made(Generic[T]):
 class Frame:
     """One simulated picture, whose parts are computed and copied to the host when they are first asked for.
 
+    What they are made of stays on the device until all are: see `complete`.
+
     camera, exposure_time [s], rendering: what it was taken and developed with; the camera's sensor is as operated, the
         white that of the picture where the camera estimates it.
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
@@ -109,7 +111,7 @@ class Frame:
     shading: np.ndarray | None = None
 
     def complete(self) -> "Frame":
-        """The same, all of it made."""
+        """The same, all of it made; nothing of it is on the device any more."""
         for part in dataclasses.fields(self):
             getattr(self, part.name)
         return self

@@ -225,7 +225,7 @@ class WarpDevice(Taped):
     @contextmanager
     def on_stream(self, stream):
         if not self.is_gpu:
-            super().on_stream(stream)
+            super().on_stream(stream)  # which refuses
         given = stream.__cuda_stream__()[1] if hasattr(stream, "__cuda_stream__") else getattr(
             stream, "cuda_stream", getattr(stream, "ptr", stream))
         if not isinstance(given, int):

@@ -46,6 +46,7 @@ class Plan:
     spare: blurred samples around the scene's that they use.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
     period: lengths of the transforms [sample]. slope: tangent of the field angle per pixel.
+    bytes_needed: device memory of a frame, where it was planned for a device; else 0.
     watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
         does. limit: relative RMS error that they keep, None without a tolerance.
     models: stage -> what is modelled, and why; left_out: what is not. predicted: named error bounds.

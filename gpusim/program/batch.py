@@ -4,9 +4,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from gpusim.domain.camera import checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.program.kept import Kept, same
+from gpusim.program.memory import bytes_of_item
 from gpusim.program.outputs import OUTPUTS
 from gpusim.program.planning import planned_by
 from gpusim.program.program import Before, Program
@@ -48,11 +50,12 @@ class Batch:
             raise BadData("batch: scenes of " + ", ".join(f"{cols}x{rows}" for rows, cols in sorted(sizes)) +
                           " pixels; wanted one size")
         programs, frames = [], []
-        for item, (scene, camera, seconds, gain, seed, frame) in enumerate(zip(*values.values(), strict=True)):
-            programs.append(self._program(item, scene, camera).update(scene=scene, exposure_time=seconds, gain=gain))
+        for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
+            program = self._program(item, own, by).update(scene=own, exposure_time=its_time, gain=its_gain)
             if not item:
-                self._require_memory(programs[0].plan)
-            frames.append(programs[item].output(self.output, seed=seed, frame=frame))
+                self._require_memory(program.plan)
+            programs.append(program)
+            frames.append(program.output(self.output, seed=its_seed, frame=number))
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
@@ -80,27 +83,27 @@ class Batch:
         program = self._items[item]
         if program is not None and program.simulator.camera is camera:
             return program
-        by = planned_by(self._simulator.update(camera))
+        asked = self._simulator.tolerance
+        by = planned_by(checked_camera(camera), asked)
+
+        def is_alike(other):
+            return same(planned_by(other.simulator.camera, asked), by)
+
         if program is not None:
-            if same(planned_by(program.simulator), by):
+            if is_alike(program):
                 return program.update(camera=camera)
             program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
-        alike = next((other for other in in_use if same(planned_by(other.simulator), by)), None)
-        simulator = self._simulator.apart(camera, Kept() if alike is None and in_use else (
-            alike.simulator if alike else self._simulator).tables)
-        program = self._items[item] = Program(simulator, scene, before=Before(simulator.device) if alike is None else
-                                              alike.before)
+        alike = next(filter(is_alike, in_use), None)
+        tables = alike.simulator.tables if alike else Kept() if in_use else self._simulator.tables
+        simulator = self._simulator.apart(camera, tables)
+        program = self._items[item] = Program(simulator, scene, before=alike.before if alike else
+                                              Before(simulator.device))
         return program
 
     def _require_memory(self, plan):
         """Raise DoesNotFit where the items' arrays do not fit beside what one frame takes."""
-        (rows, cols), channels, device = plan.scene.shape, len(plan.weights), self._simulator.device
-        layers = channels if plan.camera.sensor.stacked else 1
-        developed = {"camera": 8 * channels, "linear": 4 * channels + 24, "xyz": 4 * channels + 36,
-                     "codes": 4 * channels + 18}
-        a_pixel = 8 * len(plan.scene.wavelengths) if self.output == "irradiance" else 8 * channels if (
-            self.output == "electrons") else 14 * layers + developed.get(self.output, 0)
-        needed = plan.bytes_needed + self.count * rows * cols * a_pixel
+        (rows, cols), device = plan.scene.shape, self._simulator.device
+        needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
         if needed > device.memory:
             raise DoesNotFit(f"a batch of {self.count} frames of {cols}x{rows}", needed, device.memory, device.name)

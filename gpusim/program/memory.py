@@ -1,4 +1,8 @@
-"""Device memory that a frame takes, from the light to display codes: the arrays that a program keeps, added up."""
+"""Device memory that a frame takes, from the light to display codes: the arrays that a program keeps, added up.
+
+What the stages allocate is written down here once more, where nothing is allocated yet; tests/frames/test_memory.py
+holds the two together.
+"""
 
 from math import prod
 
@@ -12,7 +16,8 @@ from gpusim.planner.plan import Plan
 def bytes_needed(plan: Plan, device: Device) -> int:
     """Memory of a frame on a device [byte]; SciPy's transforms count where their memory is the device's.
 
-    The sum of what each stage says that it allocates; constants of a few thousand bytes are left out.
+    Constants of a few thousand bytes are left out. By depth, and where the blur varies over the field, more than is
+    taken.
     """
     scene, content, samples = plan.scene, plan.content, prod(plan.content.shape)
     total = max(content.nbytes, scene.content.nbytes)  # of a picture the codes, too
@@ -31,6 +36,17 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights))
     return int(total + _sensor(plan) + _processor(plan))
+
+
+def bytes_of_item(plan: Plan, output: str) -> int:
+    """What an output of `gpusim.program.outputs.OUTPUTS` takes of its own in a batch, copied there [byte]."""
+    pixels, channels = prod(plan.scene.shape), len(plan.weights)
+    if output in ("irradiance", "electrons"):
+        return 8 * pixels * (len(plan.scene.wavelengths) if output == "irradiance" else channels)
+    raw = 14 * (channels if plan.camera.sensor.stacked else 1)  # both means, raw values, and the copy of one of them
+    developed = {"camera": 8 * channels, "linear": 4 * channels + 24, "xyz": 4 * channels + 36,
+                 "codes": 4 * channels + 18}
+    return pixels * (raw + developed.get(output, 0))
 
 
 def largest_array(plan: Plan) -> int:
@@ -87,10 +103,10 @@ def _sensor(plan):
 
 
 def _processor(plan):
-    """Corrected mosaics, camera values, linear and encoded colours."""
+    """Corrected mosaics, what the demosaicker needs beside them, camera values, linear and encoded colours."""
     sensor, processor = plan.camera.sensor, plan.camera.processor
     pixels = prod(plan.scene.shape) // prod(sensor.binning)
     corrections = (sensor.bits == FLOAT_BITS) + (processor.defects != "none") + bool(processor.denoise)
-    scratch = {"adaptive": 2, "best": 28, "learned": 6}.get(processor.demosaic, 0)
+    scratch = {"adaptive": 2, "best": 28, "learned": 6}.get(processor.demosaic, 0)  # bytes a pixel, of their contracts
     channels = 3 if processor.table is not None else len(sensor.channels)
     return pixels * (2 * (corrections + processor.shading) + 4 * bool(processor.denoise) + scratch + 4 * channels + 15)

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from math import ceil
 
+from gpusim.domain.camera import Camera
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.scene import Scene
+from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lengths import LENGTHS
 from gpusim.planner.border import BORDER_REACH
 from gpusim.planner.facts import Facts
@@ -21,12 +23,12 @@ def checked_reach(reach: int | None) -> int | None:
     return reach
 
 
-def planned_by(simulator) -> tuple:
-    """What plans depend on beside the scene."""
-    sensor, asked = simulator.camera.sensor, simulator.tolerance
+def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
+    """What plans depend on beside the scene. asked: the tolerance."""
+    sensor = camera.sensor
     in_sigma = asked is not None and (asked.p999_sigma is not None or asked.max_sigma is not None)
     noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
-    return (simulator.camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
+    return (camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
             sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
 

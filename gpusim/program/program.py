@@ -67,7 +67,7 @@ class Before:
 
     def __init__(self, device):
         self.kept = Kept(device)
-        self.plan: tuple | None = None  # a Plan, and a Simulator that it is for
+        self.plan: tuple | None = None  # a Plan, and a camera that it is for
         self.looked: tuple = ()  # what was last looked at
 
 
@@ -82,8 +82,8 @@ class Program:
     A scene that the plan was not made for is looked at on the device. What is found there is read before the next
     frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
     meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
-    device. before: of other programs that are used in turn with this one, their cameras planned alike.
-    kept: what its own steps gave.
+    device. before: of other programs of one simulator's tolerance that are used in turn with this one, for outputs and
+    not for frames; their cameras are planned alike. kept: what its own steps gave.
     """
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
@@ -118,11 +118,12 @@ class Program:
         framed by the plan that is there: see `Plan.serves`.
         """
         simulator, scene, before = self.simulator, self.scene, self.before
+        camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         if plan is None or not (plan.scene is scene or plan.serves(scene)) or not (
-                by is simulator or same(planned_by(by), planned_by(simulator))):
+                by is camera or same(planned_by(by, asked), planned_by(camera, asked))):
             plan = simulator.plan(scene, before.kept("facts", One(scene), self._facts))
-        before.plan = plan, simulator
+        before.plan = plan, camera
         return plan
 
     def _facts(self):
@@ -197,7 +198,8 @@ class Program:
     def _again(self, last, is_same):
         """The last exposure, its arrays made anew by what ran for it; None where that is not all.
 
-        is_same: whether all but the scene is as it was.
+        Either the scene is as it was, and time or gain may be other; or the scene alone is other, and exposed for the
+        same time. is_same: whether all but the scene is as it was.
         """
         plan = last.plan
         stored, samples, planes = self._planes(plan)
