@@ -46,7 +46,7 @@ def _simulate(arguments):
     scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
                        bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
-                          guaranteed=arguments.guaranteed, fft_free=arguments.fft_free)
+                          guaranteed=arguments.guaranteed, fft_free=arguments.fft_free, strict=arguments.strict)
     for path in arguments.out:
         check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
@@ -314,6 +314,7 @@ def _parser():
     simulate.add_argument("--device", default="auto", help=device_help)
     simulate.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
     simulate.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
+    simulate.add_argument("--strict", action="store_true", help="refuse a tolerance that is not predicted to be met")
     simulate.add_argument("--fft-free", action="store_true", help="blur without Fourier transforms")
     simulate.add_argument("--seed", type=_whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
     simulate.add_argument("--frames", type=_whole(1, 10**6), default=1, metavar="N",

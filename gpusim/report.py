@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from gpusim.domain.account import Account, Verdict
 from gpusim.domain.tolerance import Tolerance
 
 
@@ -67,9 +68,10 @@ class StageReport:
 class Report:
     """Everything that is known about one frame besides its pixels.
 
-    scene, camera, device: what was simulated where. stages: in the order the light goes. predicted: named error bounds
-    of the plan. left_out: what was not modelled. error: the true error where it was asked for, and whether it meets
-    the tolerance. not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
+    scene, camera, device: what was simulated where. stages: in the order the light goes. account: predicted errors of
+    the scene as sampled. beside: those that are no part of it, such as what the samples leave out. left_out: what was
+    not modelled. error: the true error where it was asked for. verdict: whether the tolerance is met by what is
+    predicted.
     wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included.
     """
 
@@ -79,12 +81,13 @@ class Report:
     frame: int
     seed: int
     stages: list[StageReport]
-    predicted: dict
+    account: Account
+    beside: dict
     left_out: list[str]
     error: Error | None = None
     tolerance: Tolerance | None = None
     notes: list[str] = field(default_factory=list)
-    not_met: str = ""
+    verdict: Verdict | None = None
     wall_ms: float = 0.0
 
     @property
@@ -99,14 +102,14 @@ class Report:
 
     @property
     def prediction_ratio(self) -> float | None:
-        """Predicted over true relative RMS error, border included; None unless both are known and not 0."""
-        predicted = float(np.hypot(self.predicted.get("relative rms", 0), self.predicted.get("border", 0)))
+        """Predicted over true relative RMS error; None unless both are known and not 0."""
+        predicted = self.account.total.rms
         return predicted / self.error.rms if predicted and self.error and self.error.rms else None
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance,
-                              "prediction_ratio": self.prediction_ratio}
+                               "prediction_ratio": self.prediction_ratio, "predicted": asdict(self.account.total)}
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
@@ -114,7 +117,10 @@ class Report:
                  f"{self.camera['iso']:.4g}, frame {self.frame}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
         lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
-        lines += [f"  predicted: {name} {value:.2g}" for name, value in self.predicted.items()]
+        for name, bound in [*self.account.bounds.items(), ("all together", self.account.total)]:
+            lines.append(f"  predicted: {name:22s} rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest "
+                         f"{bound.max_sigma:.2g} sigma")
+        lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error
             lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
@@ -122,9 +128,10 @@ class Report:
         if self.prediction_ratio:
             lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
         if self.tolerance is not None:
-            verdict = f"NOT met: {self.not_met}" if self.not_met else "not checked (verify measures the true error)"
+            verdict = str(self.verdict)
             if error := self.error:
-                verdict = f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}"
+                verdict = (f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
+                           f"predicted {verdict}")
             lines.append(f"  tolerance: {verdict}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
         lines += [f"  note: {note}" for note in self.notes]

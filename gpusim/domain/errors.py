@@ -67,6 +67,10 @@ class BadData(GpusimError):
     """An array or a spectrum that cannot be simulated (NaN, negative radiance, unsorted wavelengths ...)."""
 
 
+class NotMet(GpusimError):
+    """A tolerance that the best affordable plan is not predicted to keep, where that is to be an error."""
+
+
 class DoesNotFit(GpusimError):
     """The estimated memory exceeds what the device has; raised before anything is allocated."""
 

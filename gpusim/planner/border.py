@@ -11,20 +11,18 @@ Cauchy's mean width of an outline is its perimeter over pi). For a circle that i
 light is smooth, so a coarse grid is enough for it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import sqrt
+from math import prod, sqrt
+from typing import Any
 
 import numpy as np
 import scipy
 from scipy.special import j1
 
 from gpusim.domain.optics import Optics
-from gpusim.domain.tolerance import Tolerance
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
-SHARE = 0.6  # of a tolerance that the border may take
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
 CELLS, LEAST_CELLS = 4, 64  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
@@ -33,6 +31,7 @@ PROBED = 128  # samples along an axis at which it is predicted
 # picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
 POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 SPIKY = 10.0  # maximum over root mean square from which on a blur changes the latter
+FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
 GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
 
 
@@ -102,6 +101,28 @@ def blurred_level(image, q: float, margin: int) -> float:
     return sqrt(np.square(scipy.ndimage.gaussian_filter(inside, 0.42 * q), dtype=np.float64).mean())
 
 
+def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
+    """What the light farther than `distance` [sample] adds to the frame, less what goes there, on a coarse grid.
+
+    image: light of the frame, or of frame and margin, shape (rows, cols). border: "zero", "edge" or "reflect". tail:
+    energy of a point per square sample times r^3.
+    """
+    cell, reach = distance / CELLS, int(FARTHEST * CELLS)
+    modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
+    cells = [max(1, round(n / cell)) for n in image.shape]
+    down, across = (_means(n, n, count, "edge", 1).astype(image.dtype)
+                    for n, count in zip(image.shape, cells, strict=True))
+    coarse = (across @ (down @ image).T).T.astype(np.float64)
+    world = np.pad(coarse, reach, mode=modes[border])
+    at = np.arange(-reach, reach + 1)
+    radius = np.hypot(at[:, None] * image.shape[0] / cells[0], at * image.shape[1] / cells[1])
+    area = prod(image.shape) / prod(cells)
+    kernel = np.where(radius > distance, tail * area / np.maximum(radius, distance) ** 3, 0)
+    light = scipy.signal.oaconvolve(world, kernel, "valid") - kernel.sum() * coarse
+    rows, cols = (round(margin / n * count) for n, count in zip(image.shape, cells, strict=True))
+    return light[rows : cells[0] - rows, cols : cells[1] - cols]
+
+
 @dataclass(frozen=True, eq=False)
 class Outside:
     """What is known of a scene when it is asked how much of the world around it takes part in the blur.
@@ -142,32 +163,6 @@ class Outside:
         error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         sigmas = error / np.sqrt(np.maximum(light[np.ix_(rows, cols)].astype(np.float64) / self.level, 0) + self.noise)
         return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
-
-
-def enough_reach(first: int, most: int, predicted: Callable, tolerance: Tolerance, level: float) -> int:
-    """Samples of surroundings, `first` or as many more, up to `most`, as keep SHARE of the tolerance.
-
-    predicted: function of the reach that gives what `Outside.error` does. level: electrons of the frame's root mean
-    square.
-    """
-    reach = first
-    while reach < most and _worst(predicted(reach), tolerance, level)[0] > SHARE:
-        reach = min(2 * reach, most)
-    return reach
-
-
-def broken(predicted, tolerance: Tolerance, level: float) -> str:
-    """Which bound of the tolerance the border's predicted error breaks by itself, with both figures; "" for none."""
-    ratio, error, bound, unit = _worst(predicted, tolerance, level)
-    return f"predicted border {error:.2g} of {bound:.2g}{unit}" if ratio > 1 else ""
-
-
-def _worst(predicted, tolerance, level):
-    """Error over bound, error, bound and unit of the bound that is nearest to being broken."""
-    rms, most, worst = predicted
-    errors = ((rms, tolerance.rms, " rms"), (most * sqrt(level), tolerance.p999_sigma, " sigma at 99.9 %"),
-              (worst * sqrt(level), tolerance.max_sigma, " sigma"))
-    return max((error / bound, error, bound, unit) for error, bound, unit in errors if bound is not None)
 
 
 def most_reach(shape, longest: int) -> int:

@@ -41,6 +41,7 @@ class Watch:
     left: float
     table: np.ndarray
     first: np.ndarray
+    factor: float = 1.0
 
     @classmethod
     def of(cls, response: Response, table, transfers, content: Content) -> "Watch":
@@ -65,7 +66,7 @@ class Watch:
         differences, signals = across + down, len(self.flat)
         signal = values[:signals].sum()
         error = differences[signals:-1].sum() + self.left * differences[-1]
-        return float(np.sqrt(error / signal)) if signal != 0 else 0.0
+        return self.factor * float(np.sqrt(error / signal)) if signal != 0 else 0.0
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:

@@ -232,6 +232,16 @@ def image_error(kernels, wanted) -> tuple[float, float]:
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
 
 
+def natural_difference() -> float:
+    """Relative root mean square difference of neighbours, over both directions, of the scene of `image_error`."""
+    f = np.fft.fftfreq(PERIOD)
+    weight = 1 / np.maximum(np.hypot(f[:, None], f), 0.5 / PERIOD) ** 2
+    weight[0, 0] = 0
+    slope = 4 * np.sin(np.pi * f) ** 2
+    return float(CONTRAST / np.sqrt(1 + CONTRAST**2) * np.sqrt(
+        (weight * (slope[:, None] + slope)).sum() / weight.sum()))
+
+
 def _weighted(kernels, size=0):
     """Half spectra times the amplitude spectrum of scenes, as real numbers whose squares sum to the whole's energy."""
     period = max(PERIOD, size, kernels.shape[-1])

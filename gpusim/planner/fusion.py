@@ -19,9 +19,8 @@ from gpusim.domain.content import Content
 RIDGE = 0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
 SMALLEST_TAIL = 1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
 SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
-SAMPLED_PERIOD = 48  # [pixel] of the grid of frequencies at which operators are made and predicted
+SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
 ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of what 40 find
-PREDICTION_FACTOR = 2.3  # true over predicted error stays below it in 95 % of natural scenes
 
 
 @dataclass(frozen=True, eq=False)

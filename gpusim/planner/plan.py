@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gpusim.domain.account import SAFETY, Account, Bound, Verdict, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
@@ -12,13 +13,14 @@ from gpusim.planner.depth import DepthPlan
 from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
 from gpusim.planner.field import FieldBlur
-from gpusim.planner.fusion import PREDICTION_FACTOR
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
+from gpusim.planner.search import Option, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
 
@@ -49,8 +51,9 @@ class Plan:
     bytes_needed: device memory of a frame, where it was planned for a device; else 0.
     watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
         does. limit: relative RMS error that they keep, None without a tolerance.
-    models: stage -> what is modelled, and why; left_out: what is not. predicted: named error bounds.
-    not_met: the bound of the tolerance that a predicted error breaks, with both figures; "" for none.
+    models: stage -> what is modelled, and why; left_out: what is not. account: named errors of the scene as sampled.
+    beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one. front: the
+    options that were cheaper, or more accurate, from the cheapest on.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then.
     """
@@ -81,9 +84,12 @@ class Plan:
     limit: float | None = None
     models: dict = field(default_factory=dict)
     left_out: list = field(default_factory=list)
-    predicted: dict = field(default_factory=dict)
-    not_met: str = ""
+    account: Account = field(default_factory=Account)
+    beside: dict = field(default_factory=dict)
+    verdict: Verdict | None = None
+    front: tuple[Option, ...] = ()
     planned_for: str = ""
+    tolerance: Tolerance | None = None
 
     def serves(self, scene: Scene) -> bool:
         """Whether it also says how to make a frame of another scene: of the same kind, and nothing here is of pixels.
@@ -114,12 +120,18 @@ class Plan:
         highest, mean = light[:2]
         if self.mix is not None and highest > THRESHOLD * mean:
             return False
-        return drift is None or PREDICTION_FACTOR * drift < (self.limit or np.inf)
+        return drift is None or SAFETY * drift <= (self.limit or np.inf)
 
     def of(self, scene: Scene, drift: float | None) -> "Plan":
         """The same as that of another scene that it serves; drift: see `drift`."""
-        known = {} if drift is None else {"relative rms": float(np.hypot(drift, TRANSFORM_ERROR))}
-        return replace(self, scene=scene, planned_for=self.scene.name, predicted=self.predicted | known)
+        bounds = self.account.bounds
+        if drift is not None and bounds.get("planes", Bound()).rms:
+            bounds = bounds | {"planes": bounds["planes"].times(drift / bounds["planes"].rms)}
+        account = replace(self.account, bounds=bounds)
+        verdict = None
+        if self.tolerance is not None and self.verdict is not None:
+            verdict = account.verdict(self.tolerance, self.verdict.remedy)
+        return replace(self, scene=scene, planned_for=self.scene.name, account=account, verdict=verdict)
 
 
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
@@ -127,7 +139,8 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
          kept: Kept = made_anew, facts: Facts | None = None) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
-    tolerance: wavelengths are fused into the fewest planes whose predicted error meets it; without one each is exact.
+    tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
+    the exact way, the most accurate. Without one every wavelength is exact.
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
     needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
@@ -142,33 +155,79 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
                            reach=reach, fft_free=fft_free, period=period, kept=kept)
     question, picture = highlights.split(question)
+    notes, operation, probes = Notes(), picture.operation(question), None
+    if tolerance is not None:
+        probes = spectral.probes_of(question, picture, operation)
+        question = question.limited(probes)
+        if question.is_blurred:
+            question = blur.left_out(question, picture, probes, notes)
     by_depth, one_distance = depth.by_depth(question)
-    around = border.surroundings(question, picture, by_depth)
-    question = question.less(around.error)  # what the border takes is not left for the planes
-    notes = Notes()
-    taps, spare = sampling.taps_of(question, around.period, notes)
-    form, folded = blur.form_of(question, around.folds, by_depth)
-    if question.is_blurred:
-        picture.describe_unsplit(notes)
-        planes = spectral.blurred(question, form, taps, notes)
-        planes.describe(question, notes)
-        blur.describe(question, form, by_depth is not None, notes)
-        planes.describe_tables(question, notes)
-    else:
-        planes = spectral.unblurred(question, notes)
+    seen = _seen(question, picture, probes, operation, by_depth, notes) if question.is_blurred else _plain(
+        question, notes)
+    taps, spare = sampling.taps_of(question, seen.around.period if seen.around else None)
     depth.describe(by_depth, notes)
     picture.describe(notes)
-    distortion = geometry.distorted(question, notes)
-    gains, slope = falloff.falloff_of(question, notes)
-    if question.is_blurred:
-        around.describe(question, notes)
+    distortion = geometry.distorted(question, probes, notes)
+    gains, slope = falloff.falloff_of(question, probes, notes)
+    if seen.around:
+        seen.around.describe(question, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, taps, notes)
     if one_distance:
         notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
-    weights = question.weights
+    weights, planes = question.weights, seen.planes
+    account = Account(notes.bounds, operation.seconds)
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,
-        gains, folded, fft_free, taps, spare, question.q, around.period, slope, 0,
-        planes.watch, question.limit, notes.models, notes.left_out, notes.predicted, around.not_met)
+        gains, seen.folded, fft_free and question.is_blurred, taps, spare, question.q,
+        seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
+        notes.left_out, account, notes.beside,
+        None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.front,
+        tolerance=tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """How a scene is seen: its planes, and what the blur is made of. limit: relative RMS error that they keep."""
+
+    planes: spectral.Planes
+    around: border.Surroundings | None = None
+    folded: bool = False
+    limit: float | None = None
+    front: tuple = ()
+    remedy: str = ""
+
+
+def _plain(question, notes):
+    return _Seen(spectral.unblurred(question, notes))
+
+
+def _seen(question, picture, probes, operation, by_depth, notes):
+    """The best way to blur."""
+    tolerance = question.tolerance
+    if probes is None:
+        fixed = {"transforms": Bound(TRANSFORM_ERROR)}
+    else:
+        fixed = {"transforms": probes.even_error(TRANSFORM_ERROR)}
+    if question.fft_free:
+        fixed = {"pyramid": Bound(FFT_FREE_ERROR) if probes is None else probes.local(FFT_FREE_ERROR)}
+    fixed |= notes.bounds | depth.bounds_of(by_depth, probes)
+    arounds = border.surroundings(question, picture, by_depth, operation.level)
+    found = options(question, spectral.ways(question, probes), arounds, fixed,
+                    lambda around: blur.form_of(question, around.folds, by_depth)[1])
+    option, needed = chosen(found, tolerance), remedy(question, found, arounds, fixed)
+    form, folded = blur.form_of(question, option.around.folds, by_depth)
+    notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
+    planes = option.way.make()
+    picture.describe_unsplit(notes)
+    planes.describe(question, notes)
+    blur.describe(question, form, option.way.words, by_depth is not None, notes)
+    planes.describe_tables(question, notes)
+    limit = None
+    if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
+        rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
+        limit = max((question.limit**2 - rest**2), 0.0) ** 0.5
+        limit = max(limit, SAFETY * option.way.bound.rms)
+    return _Seen(planes, option.around, folded, limit, () if tolerance is None else tuple(front(found, tolerance)),
+                 needed)

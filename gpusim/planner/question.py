@@ -6,6 +6,7 @@ from math import ceil
 
 import numpy as np
 
+from gpusim.domain.account import SAFETY
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.errors import OutOfRange
@@ -14,8 +15,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lens import open_lens
-from gpusim.planner.budget import left_of, limit_of
 from gpusim.planner.facts import Facts
+from gpusim.planner.probes import Probes
 from gpusim.planner.tables import Kept, Tables
 from gpusim.planner.weights import check_light, electrons_per_content
 
@@ -29,8 +30,7 @@ class Question:
     facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
     guaranteed, reach, fft_free, period, kept: see `gpusim.planner.plan.plan`.
     weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
-    limit: relative RMS error for what is not decided yet, None without a tolerance. level: electrons of the frame's
-    root mean square, at most.
+    limit: relative RMS error for what is not decided yet, None without a tolerance.
     """
 
     scene: Scene
@@ -43,26 +43,22 @@ class Question:
     period: tuple[int, int] | None
     kept: Kept
     weights: np.ndarray
-    limit: float | None
-    level: float
+    limit: float | None = None
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked) -> "Question":
         """What `plan` was asked. Raises BadData, OutOfRange."""
         weights = electrons_per_content(scene, camera)
         check_light(scene, facts.content, camera)
-        made = cls(scene, camera, facts, tolerance, **asked, weights=weights, limit=None,
-                   level=camera.sensor.saturation)
+        made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
         made._check_displacement()
         made._check_q()
-        if tolerance is None:
-            return made
-        limit, level = limit_of(tolerance, camera.sensor, weights, facts)
-        return replace(made, limit=limit, level=level)
+        return made
 
-    def less(self, error: float) -> "Question":
-        """The same with what an error leaves of the limit."""
-        return replace(self, limit=left_of(self.limit, error))
+    def limited(self, probes: Probes) -> "Question":
+        """The same with the relative RMS error at which an error at edges breaks the tolerance."""
+        assert self.tolerance is not None
+        return replace(self, limit=1 / (SAFETY * probes.local(1.0).ratio(self.tolerance)))
 
     @property
     def optics(self) -> Optics:
@@ -124,6 +120,14 @@ class Question:
     def more(self) -> int:
         """Samples beyond the frame that it sees because it is displaced."""
         return ceil(self.ratio * max(map(abs, self.sensor.displacement)))
+
+    @property
+    def share(self) -> np.ndarray:
+        """Part of the pixels that has each channel, shape (C,)."""
+        if self.sensor.stacked:
+            return np.full(len(self.weights), 1 / len(self.weights))
+        cfa = self.sensor.cfa_indices
+        return np.bincount(cfa.ravel(), minlength=len(self.weights)) / cfa.size
 
     @property
     def light(self) -> np.ndarray:

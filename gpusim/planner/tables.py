@@ -8,7 +8,6 @@ import numpy as np
 from gpusim.domain.optics import Optics
 from gpusim.optics.lens import open_lens, wavelength_nodes
 from gpusim.optics.tables import transfer_tables
-from gpusim.planner.fusion import SAMPLED_PERIOD
 
 
 class Kept(Protocol):
@@ -55,12 +54,12 @@ class Tables:
         return np.ascontiguousarray(tables).view(np.float64)
 
 
-def field_tables(lens, wavelengths, places) -> np.ndarray:
-    """Transfer tables of a lens at places of the field, as `Response.of` takes them."""
+def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
+    """Transfer tables of a lens at places of the field, as `Response.of` takes them, of a square period."""
     chosen, between = wavelength_nodes(wavelengths)
-    size = max(SAMPLED_PERIOD - 1, lens.least_size)
+    size = max(period - 1, lens.least_size)
     kernels = np.stack([np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1)
-    return _transforms(kernels, SAMPLED_PERIOD, SAMPLED_PERIOD)
+    return _transforms(kernels, period, period)
 
 
 def _transforms(kernels, rows, cols):

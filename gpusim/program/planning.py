@@ -4,7 +4,7 @@ from dataclasses import replace
 from math import ceil
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import DoesNotFit, OutOfRange
+from gpusim.domain.errors import DoesNotFit, NotMet, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lengths import LENGTHS
@@ -42,6 +42,8 @@ def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
     simulator.readout.output_shape(scene.shape)
     made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
                 fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts)
+    if simulator.strict and made.verdict is not None and not made.verdict.met:
+        raise NotMet(f"{scene.name}: tolerance {made.verdict}")
     needed, largest = bytes_needed(made, device), largest_array(made)
     needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
     what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"

@@ -158,11 +158,13 @@ class Shots:
         stages = [StageReport(name, models.get(name, "part of what is beside it"), times.get(name, 0.0))
                   for name in order if name in models or name in times]
         white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
+        account = plan.account.at(exposure.exposure_time)
+        verdict = plan.verdict and account.verdict(simulator.tolerance, plan.verdict.remedy)
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
                                                  f"{camera.processor.target}{white}"]
         if plan.planned_for:
-            notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but the "
-                         "relative rms are of that")
+            notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
+                         "of the planes are of that")
         if error is not None and plan.varying is not None:
             notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
         return Report(
@@ -173,8 +175,8 @@ class Shots:
             {"name": camera.name, "f_number": camera.optics.f_number, "exposure_time_s": exposure.exposure_time,
              "analog_gain": camera.sensor.analog_gain, "iso": self._speed,
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
-            {"name": simulator.device.name, "kind": simulator.device.kind}, number, seed, stages, plan.predicted,
-            plan.left_out, error, simulator.tolerance, notes, plan.not_met, wall)
+            {"name": simulator.device.name, "kind": simulator.device.kind}, number, seed, stages, account,
+            plan.beside, plan.left_out, error, simulator.tolerance, notes, verdict, wall)
 
 
 class _Shot:

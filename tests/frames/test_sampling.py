@@ -196,7 +196,7 @@ def test_verification_holds_at_finer_scenes(device, ratio=1.5):
     """The report's true error is the border's as predicted, within 2.5, and float32's, 3.8e-6 of the peak."""
     scene = chart("colorchecker", size=(36, 24), samples_per_pixel=ratio)
     report = Simulator(open_camera("phone"), device=device, reach=36)(scene, verify=True).report
-    assert report.predicted["border"] / 2.5 < report.error.rms < 3.8e-6 + 2.5 * report.predicted["border"]
+    assert report.account.bounds["border"].rms / 2.5 < report.error.rms < 3.8e-6 + 2.5 * report.account.bounds["border"].rms
     assert {"optics.blur", "optics.sample"} <= {stage.stage for stage in report.stages}
     assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(report)
 
@@ -351,7 +351,7 @@ def check_predictions(names, qs, ratios, fills=(1.0,), device=DEVICES[0], **opti
                 truth = seen(SCENES[name](FINEST))[0]
                 for ratio in ratios:
                     result, plan = seen(SCENES[name](ratio))
-                    true, predicted = relative(result[inner], truth[inner]), plan.predicted["scene sampling"]
+                    true, predicted = relative(result[inner], truth[inner]), plan.beside["scene sampling"]
                     found.append(predicted / true)
                     print(f"{name:16s} Q {q:3.1f} fill {fill:4.2f} ratio {ratio:3.1f}: true {true:.1e}, "
                           f"predicted {predicted:.1e}, {predicted / true:.2f}")
@@ -382,10 +382,10 @@ def test_the_sampling_error_is_predicted_for_small_apertures():
 
 def test_flat_fields_and_exact_pictures_have_no_sampling_error():
     scene = chart("flat", size=(16, 12))
-    assert Simulator(camera_of(1.0), device="numpy").plan(scene).predicted["scene sampling"] < 1e-12
+    assert Simulator(camera_of(1.0), device="numpy").plan(scene).beside["scene sampling"] < 1e-12
     scene = grey(text_picture(PIXELS, FINEST), 1)  # means over pixels are what a pixel without blur sees
     plan = Simulator(camera_of(1.0, model="none"), device="numpy").plan(scene)
-    assert plan.predicted["scene sampling"] < 1e-9
+    assert plan.beside["scene sampling"] < 1e-9
 
 
 @pytest.mark.parametrize("name", CHARTS)
@@ -453,5 +453,5 @@ def test_the_sampling_error_is_a_number_under_spiky_lights(count, level):
     for band in negative:
         values[:] = 1e-3
         values[band, 20:28, 20:28] = level
-        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), illuminant("FL11"))).predicted["scene sampling"]
+        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), illuminant("FL11"))).beside["scene sampling"]
         assert 0 < error < 1

@@ -19,7 +19,7 @@ def camera(pixels=None, **optics):
 
 def parts(made):
     """All that a plan says of its blur."""
-    return made.models, made.predicted, made.flat, made.table, made.mix, made.transfers
+    return made.models, made.account, made.beside, made.flat, made.table, made.mix, made.transfers
 
 
 # each other than the one before in one thing that what is kept depends on

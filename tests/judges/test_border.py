@@ -96,7 +96,7 @@ def compared(number):
     own = truth(scene, plan)
     reference = true_mean(gs.Simulator, simulator.camera, scene, plan, 1.0)
     frame = relative(simulator.expose(scene, 1.0).mean - own, own)
-    wrong, predicted = relative(reference - own, own), plan.predicted["border"]
+    wrong, predicted = relative(reference - own, own), plan.account.bounds["border"].rms
     corners = [abs(reference[at] / own[at] - 1) for at in ((0, 0), (-1, -1), (0, -1), (shape[0] // 2 - margin, 0))]
     print(f"{number}: {kind} {shape[1]}x{shape[0]} {border} q {q:.2f}: reference {wrong:.1e}, at its corners and sides "
           f"{max(corners):.1e}; border {frame:.1e}, predicted {predicted:.1e}")
@@ -140,7 +140,7 @@ def test_highlights_go_on_as_the_border_says(device, border):
     print(f"{border}: {relative(mean - own, own):.2g}, predicted {plan.predicted['border']:.2g}")
     # of three, one is no part of an edge; or each with its images within 84 pixels along both axes
     assert len(plan.highlights.places) == (1 if border == "edge" else 33)
-    assert 1 / 2.5 < plan.predicted["border"] / relative(mean - own, own) < 2.5
+    assert 1 / 2.5 < plan.account.bounds["border"].rms / relative(mean - own, own) < 2.5
     assert relative(mean - own, own) < (0.03 if border == "edge" else 1e-3)
 
 
@@ -154,7 +154,7 @@ def test_the_brightest_pixels_of_a_ramp_are_no_points(border):
     own = truth(scene, plan)
     error = relative(simulator.expose(scene, 1.0).mean - own, own)
     assert error < 2e-3  # 3.6e-2 where split pixels are not continued; what the surroundings lack is 2 q / (pi^3 64)
-    assert 1 / 2.5 < plan.predicted["border"] / error < 2.5
+    assert 1 / 2.5 < plan.account.bounds["border"].rms / error < 2.5
 
 
 def edge_chart(border):

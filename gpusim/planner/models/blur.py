@@ -1,8 +1,13 @@
 """Blur form: by transforms straight to the mosaic, by transforms of whole channels, or by pyramids without any."""
 
+from dataclasses import replace
+
+from gpusim.domain.account import SAFETY, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.depth import DepthPlan
+from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
+from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Question, displaced
 
 ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.nearfar": ", without transforms", "optics.blur": ""}
@@ -25,12 +30,39 @@ def form_of(question: Question, folds: bool, depth: DepthPlan | None) -> tuple[s
     return "optics.mosaic" if folded else "optics.blur", folded
 
 
-def describe(question: Question, form: str, has_depth: bool, notes: Notes):
-    """Say what blurs."""
+def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
+    """Say what blurs; words: by which planes."""
     optics, moved = question.optics, question.moved
     over = f"the pixel{displaced(moved)}" if question.ratio == 1 else "each scene sample"
     if optics.is_ideal and not has_depth and not any(moved):
         notes.models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
     else:
         notes.models["optics.pupil"] = f"{optics.description}, integrated over {over}"
-    notes.models[form] += ENDINGS[form]
+    notes.models[form] = words + ENDINGS[form]
+
+
+def refuses_to_leave_out(question: Question, picture: Picture) -> str | None:
+    """Why a blur is not left out whatever it errs, None where it may be."""
+    optics = question.optics
+    for why, is_so in (("it is asked for in a form", question.fft_free or question.period or question.reach),
+                       ("every spectrum is to be right", question.guaranteed),
+                       ("it goes by distance", question.facts.depth is not None),
+                       ("it varies over the field", optics.varies),
+                       ("points of light are added to it", picture.highlights is not None),
+                       ("the pixels are displaced by parts of samples", question.more and question.ratio == 1)):
+        if is_so:
+            return why
+    return None
+
+
+def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
+    """The question without the blur, where that errs little enough; else the same."""
+    assert question.tolerance is not None
+    if refuses_to_leave_out(question, picture):
+        return question
+    bound = total([probes.unblurred, probes.even_error(picture.from_afar(question, SIDE / 2))])
+    if SAFETY * bound.ratio(question.tolerance) > 1:
+        return question
+    notes.without("blur", bound, "blur left out")
+    camera = replace(question.camera, optics=replace(question.optics, model="none"))
+    return replace(question, camera=camera)

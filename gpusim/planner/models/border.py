@@ -1,16 +1,17 @@
 """Border: how much of the world around the frame takes part in the blur."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
-from math import ceil
+from math import ceil, sqrt
 
 import numpy as np
 from scipy.special import j0, j1
 
+from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
 from gpusim.optics.lens import spread_radius
-from gpusim.planner.border import BORDER_REACH, Outside, broken, enough_reach, most_reach, tail_of
+from gpusim.planner.border import BORDER_REACH, Outside, most_reach, tail_of
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
@@ -22,60 +23,59 @@ from gpusim.planner.question import Question
 class Surroundings:
     """What of the world around the frame takes part in the blur.
 
-    reaches: surroundings along each axis [sample]. period: lengths of the transforms [sample]. folds: whether the
-    mosaic folds into these. error: relative RMS, of what is not seen. not_met: the bound that it breaks, or "".
+    reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
+    lengths of the transforms [sample]. folds: whether the mosaic folds into these. bound: error of what is not seen.
     """
 
+    reach: int
     reaches: list[int]
     period: tuple[int, int]
     folds: bool
-    error: float
-    not_met: str
+    bound: Bound
 
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
         reach = min(self.reaches)
-        notes.predicted["border"] = self.error
-        if question.tolerance is None and self.error > TRANSFORM_ERROR:
+        notes.bounds["border"] = self.bound
+        if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
-                                  f"as the transforms repeat it: relative rms {self.error:.2g}, predicted")
+                                  f"as the transforms repeat it: relative rms {self.bound.rms:.2g}, predicted")
         if question.optics.is_ideal:
-            notes.predicted["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
+            notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
 
 
-def surroundings(question: Question, picture: Picture, depth: DepthPlan | None) -> Surroundings:
-    """As much as is asked for, or BORDER_REACH or what a tolerance needs. Raises OutOfRange.
+def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
+                 level: float) -> Iterator[Surroundings]:
+    """As much as is asked for alone; or BORDER_REACH, and for a tolerance twice as much each time. Raises OutOfRange.
 
-    Spreads that are given end: the frame sees as far as they go, if they fit into its transforms at all.
+    Spreads that are given end: the frame sees as far as they go, if they fit into its transforms at all. level:
+    electrons of the frame's root mean square.
     """
-    outside, ratio, tolerance = _outside(question, picture, depth), question.ratio, question.tolerance
+    outside, ratio = _outside(question, picture, depth, level), question.ratio
     beside = (ceil(depth.reach) if depth else 0) + question.more  # samples that take part beside the reach
     shape, reach = outside.image.shape, question.reach
 
-    def transform(reach):
-        around = ceil(reach * ratio) + beside
-        reaches = [max(around, -(-n // 2) if outside.border == "zero" else 0) for n in shape]
-        return reaches, *_lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+    def around(reach):
+        more = ceil(reach * ratio) + beside
+        reaches = [max(more, -(-n // 2) if outside.border == "zero" else 0) for n in shape]
+        period, folds = _lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+        if None in period:
+            rows, cols = question.size
+            raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
+                             "samples", "what the transforms take: a smaller scene, reach or aperture")
+        rms, most, largest = outside.error(period, min(reaches))
+        return Surroundings(reach, reaches, period, folds, Bound(rms, most * sqrt(level), largest * sqrt(level)))
 
-    @cache
-    def predicted(reach):
-        reaches, period, _ = transform(reach)
-        return (0.0, 0.0, 0.0) if None in period else outside.error(period, min(reaches))
-
-    if reach is None:
-        fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
-        reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
-        if tolerance is not None:
-            most = int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
-            reach = enough_reach(reach, most, predicted, tolerance, question.level)
-    border = predicted(reach)
-    reaches, period, folds = transform(reach)
-    if None in period:
-        rows, cols = question.size
-        raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} samples",
-                         "what the transforms take: a smaller scene, reach or aperture")
-    return Surroundings(reaches, period, folds, border[0],
-                        "" if tolerance is None else broken(border, tolerance, question.level))
+    if reach is not None:
+        yield around(reach)
+        return
+    fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+    reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
+    yield around(reach)
+    most = int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
+    while question.tolerance is not None and reach < most:
+        reach = min(2 * reach, most)
+        yield around(reach)
 
 
 def _lengths(question, least):
@@ -85,14 +85,14 @@ def _lengths(question, least):
     return transform_lengths(least, np.shape(question.sensor.cfa_indices))
 
 
-def _outside(question, picture, depth):
+def _outside(question, picture, depth, level):
     scene, optics, split = question.scene, question.optics, picture.highlights
     spread = 0
     if question.is_blurred:
         spread = depth.reach if depth else spread_radius(optics, scene.wavelengths, question.pitch)
     tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
     return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
-                   max(question.sensor.read_sigma**2, 1) / question.level, split.missing if split else 0.0)
+                   max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0)
 
 
 def _energy_beyond(radius, q):

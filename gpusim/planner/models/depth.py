@@ -1,9 +1,13 @@
 """Depth: whether the blur goes by the distance of things."""
 
+from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.depth import DepthPlan, plan_depth
 from gpusim.planner.notes import Notes
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
+
+OTHERS = "depth, if "  # begins the names of errors of what was not chosen
 
 
 def by_depth(question: Question) -> tuple[DepthPlan | None, str]:
@@ -29,12 +33,19 @@ def by_depth(question: Question) -> tuple[DepthPlan | None, str]:
     return made, ""
 
 
+def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
+    """Named errors of the blur by distance: where there are edges."""
+    own = {} if depth is None else depth.predicted
+    local = Bound if probes is None else probes.local
+    return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
+
+
 def describe(depth: DepthPlan | None, notes: Notes):
     """Say how the blur goes by distance."""
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model
-    notes.predicted |= depth.predicted
+    notes.beside |= {name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)}
     if depth.layers > 1 and not depth.sheets:
         notes.left_out.append("what nearer things hide: one picture does not tell it, so what is beside it goes on "
                               "there")

@@ -2,15 +2,19 @@
 
 import numpy as np
 
+from gpusim.domain.account import SAFETY, total
 from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
 from gpusim.planner.notes import Notes
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
+NEGLIGIBLE = 1e-5  # a fall-off below it may be left out
 
-def falloff_of(question: Question, notes: Notes) -> tuple[np.ndarray | None, float]:
+
+def falloff_of(question: Question, probes: Probes | None, notes: Notes) -> tuple[np.ndarray | None, float]:
     """Fall-off of every pixel, None where the cos^4 law is all; the tangent of the field angle per pixel, 0 without it.
 
-    Raises BadData, OutOfRange.
+    probes: of the scene, where there is a tolerance. Raises BadData, OutOfRange.
     """
     sensor, shape, displacement = question.sensor, question.scene.shape, question.sensor.displacement
     parts, slope = _lens(question, notes)
@@ -19,11 +23,18 @@ def falloff_of(question: Question, notes: Notes) -> tuple[np.ndarray | None, flo
                                               question.optics.image_distance, displacement)
     if sensor.vignetting is not None:
         parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
-    if parts:
+    gains = np.prod(list(parts.values()), axis=0) if parts else None
+    if gains is not None and probes is not None and (most := float(np.abs(gains - 1).max())) < NEGLIGIBLE:
+        assert question.tolerance is not None
+        bound = probes.even_error(most)
+        if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
+            notes.without(f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out")
+            gains = None
+    if gains is not None:
         notes.models["optics.falloff"] = " and ".join(parts)
     layout = f"stacked {', '.join(sensor.channels)}" if sensor.stacked else f"mosaic of {'/'.join(sensor.cfa)}"
     notes.models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
-    return np.prod(list(parts.values()), axis=0) if parts else None, float(slope)
+    return gains, float(slope)
 
 
 def _lens(question, notes):

@@ -1,19 +1,32 @@
 """Geometry: where the lens puts the samples."""
 
+import numpy as np
+
+from gpusim.domain.account import SAFETY, total
 from gpusim.planner.geometry import DistortionGrid, distortion_grid
 from gpusim.planner.notes import Notes
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
+NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
-def distorted(question: Question, notes: Notes) -> DistortionGrid | None:
+
+def distorted(question: Question, probes: Probes | None, notes: Notes) -> DistortionGrid | None:
     """The lens's distortion of the samples, the margin's where there is blur to need it; None: as a pinhole would.
 
-    Raises OutOfRange.
+    probes: of the scene, where there is a tolerance. Raises OutOfRange.
     """
     distortion = question.optics.distortion
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
+    move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
+    if probes is not None and move < NEGLIGIBLE:
+        assert question.tolerance is not None
+        bound = probes.moved(move)
+        if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
+            notes.without(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
+            return None
     notes.models["optics.distort"] = f"distortion: {made.report}"
     return made

@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.planner.border import blurred_level, rule_of
+from gpusim.planner.border import blurred_level, rule_of, spread_afar, tail_of
 from gpusim.planner.facts import Facts
 from gpusim.planner.highlights import Highlights, split_highlights, unsplit_error
 from gpusim.planner.notes import Notes
+from gpusim.planner.operation import Operation
 from gpusim.planner.question import Question
 
 
@@ -16,12 +17,27 @@ class Picture:
     """The light that goes through the blur.
 
     brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
-    highlights in it, as the lens shows it; 0 without blur. highlights: what was split off, or None.
+    highlights in it, as the lens shows it. peak: brightness of the strongest highlight. highlights: what was split
+    off, or None.
     """
 
     brightness: np.ndarray
     level: float
+    peak: float
     highlights: Highlights | None
+
+    def from_afar(self, question: Question, distance: float) -> float:
+        """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
+        tail = tail_of(question.optics) * question.mean_q
+        if not (tail and self.level > 0):
+            return 0.0
+        light = spread_afar(self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance)
+        return float(np.sqrt(np.mean(light**2))) / self.level
+
+    def operation(self, question: Question) -> Operation:
+        """How the camera will expose it."""
+        return Operation.of(question.camera, question.facts, question.weights, self.brightness, self.level, self.peak,
+                            question.mean_q)
 
     def describe(self, notes: Notes):
         """Say what was split off."""
@@ -30,26 +46,27 @@ class Picture:
             return
         notes.models["optics.splat"] = f"{len(split.places)} highlights added exactly, each with its own spectrum"
         if split.residue:
-            notes.predicted["local error beside further highlights"] = split.residue
+            notes.beside["local error beside further highlights"] = split.residue
 
     def describe_unsplit(self, notes: Notes):
         """Say what the transforms err beside highlights that stay in the picture."""
         if self.highlights is None and (left := unsplit_error(self.brightness)):
-            notes.predicted["local error beside highlights"] = left
+            notes.beside["local error beside highlights"] = left
 
 
 def split(question: Question) -> tuple[Question, Picture]:
     """The question of what is left without highlights, and the picture."""
     scene, facts = question.scene, question.facts
     brightness = facts.brightness(question.light)
-    level = blurred_level(brightness, question.mean_q, scene.margin) if question.is_blurred else 0.0
+    level = blurred_level(brightness, question.mean_q if question.is_blurred else 0.0, scene.margin)
+    peak = float(brightness.max(initial=0))
     if not _can_be_split(question):
-        return question, Picture(brightness, level, None)
+        return question, Picture(brightness, level, peak, None)
     content, highlights = split_highlights(facts.content, brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
         question = replace(question, facts=Facts(content))
-    return question, Picture(brightness, level, highlights)
+    return question, Picture(brightness, level, peak, highlights)
 
 
 def _can_be_split(question):

@@ -2,8 +2,6 @@
 
 from math import ceil
 
-import numpy as np
-
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question, displaced
@@ -19,30 +17,32 @@ from gpusim.planner.sampling import (
 )
 
 
-def taps_of(question: Question, period, notes: Notes) -> tuple[tuple[Taps, Taps] | None, int]:
+def taps_of(question: Question, period=None) -> tuple[tuple[Taps, Taps] | None, int]:
     """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
 
-    period: lengths of the transforms: the blur knows what is beyond the scene's samples. A picture without blur is
-    constant over each of them. Raises OutOfRange.
+    period: lengths of the transforms, None: long enough. The blur knows what is beyond the scene's samples; a picture
+    without blur is constant over each of them. Raises OutOfRange.
     """
     ratio, is_blurred = question.ratio, question.is_blurred
     if ratio == 1 and (is_blurred or not question.more):
         return None, 0
     spare = 0
     if is_blurred and not question.fft_free:
-        spare = min(SPARE + question.more, *((n - m) // 2 for n, m in zip(period, question.size, strict=True)))
+        spare = SPARE + question.more
+        if period is not None:
+            spare = min(spare, *((n - m) // 2 for n, m in zip(period, question.size, strict=True)))
     rows, cols = _blurred_axes(question, spare) if is_blurred else _plain_axes(question)
-    notes.models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over its "
-                                     f"aperture{displaced(question.sensor.displacement)}")
     return (rows, cols), spare
 
 
 def describe(question: Question, taps, notes: Notes):
-    """Say what structure the samples leave out."""
-    sensor, ratio, weights = question.sensor, question.ratio, question.weights
-    share = np.bincount(np.ravel(sensor.cfa_indices), minlength=len(weights)) / sensor.cfa_indices.size
-    notes.predicted["scene sampling"] = sampling_error(
-        question.facts.moments(weights), weights, question.q, share, ratio, question.aperture, taps,
+    """Say what pixels are made of, and what structure the samples leave out."""
+    ratio, weights = question.ratio, question.weights
+    if taps is not None:
+        notes.models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
+                                         f"its aperture{displaced(question.sensor.displacement)}")
+    notes.beside["scene sampling"] = sampling_error(
+        question.facts.moments(weights), weights, question.q, question.share, ratio, question.aperture, taps,
         question.tables if question.is_blurred else None, question.moved)
     notes.left_out.append(f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
                           f"scene sample{'' if ratio == 1 else 's'} per pixel")

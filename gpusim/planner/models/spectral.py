@@ -1,17 +1,22 @@
 """Spectral fusion: which planes go through the blur in place of all wavelengths, and how channels are made of them."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.account import Bound
 from gpusim.planner.drift import Watch
 from gpusim.planner.field import FieldBlur
-from gpusim.planner.fusion import PREDICTION_FACTOR, SAMPLED_PERIOD, Response, channel_operator, joint_operator
-from gpusim.planner.highlights import TRANSFORM_ERROR
+from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.models.field import varying_planes
+from gpusim.planner.models.highlights import Picture
+from gpusim.planner.models.sampling import taps_of
 from gpusim.planner.notes import Notes
+from gpusim.planner.operation import Operation
+from gpusim.planner.probes import COUNT, LEAST_WINDOWS, SIDE, Probes, Windows
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
@@ -58,29 +63,41 @@ def unblurred(question: Question, notes: Notes) -> Planes:
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
 
-def blurred(question: Question, form: str, taps, notes: Notes) -> Planes:
-    """The fewest planes that keep the limit, those of a blur that varies over the field, or exact ones.
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way to treat the wavelengths.
 
-    form: the stage that blurs. taps: see `Plan`. Raises OutOfRange.
+    count: planes that are transformed. bound: error of what it leaves out. words: what it is. make: gives its planes.
     """
-    content, limit, flat = question.content, question.limit, _flat(question)
+
+    count: int
+    bound: Bound
+    words: str
+    make: Callable[[], Planes]
+
+
+def ways(question: Question, probes: Probes | None) -> list[Way]:
+    """Every way there is, from the fewest planes on; the last is exact. Of a blur that varies over the field, one.
+
+    probes: of the scene, where there is a tolerance. Raises OutOfRange.
+    """
+    flat = _flat(question)
     even = question.weights / flat
-    made, wrong = _exact(content, even, flat, form, notes), 0.0
+    exact = _exact(question.content, even, flat)
     if question.optics.varies:
-        inputs, transfers, mix, varying, wrong, words = varying_planes(
-            question, _response(question, even, flat, taps), prior_of(question), flat)
-        made = Planes(flat, inputs @ content.entry_spectra.T, mix, transfers, None, varying)
-        notes.models[form], notes.models["optics.field"] = words, varying.report
-        notes.predicted["field at the worst place"] = varying.error[1]
-    elif limit is not None:
-        response = _response(question, even, flat, taps)
-        fused = (_guaranteed if question.guaranteed else _fused)(question, response, made.mix.shape[1])
-        if fused:
-            inputs, transfers, wrong, notes.models[form] = fused
-            watch = None if question.guaranteed else Watch.of(response, inputs, transfers, content)
-            made = Planes(flat, inputs @ content.entry_spectra.T, np.ones(transfers.shape[:2]), transfers, watch)
-    notes.predicted["relative rms"] = float(np.hypot(wrong, FFT_FREE_ERROR if question.fft_free else TRANSFORM_ERROR))
-    return made
+        return [_varying(question, even, flat, probes)]
+    if probes is None:
+        return [exact]
+    response = response_of(question, even, flat)
+    found = (_guaranteed if question.guaranteed else _fused)(question, response, flat, exact.count, probes)
+    return [*found, exact]
+
+
+def _varying(question, even, flat, probes):
+    inputs, transfers, mix, varying, wrong, words = varying_planes(
+        question, response_of(question, even, flat), prior_of(question), flat)
+    made = Planes(flat, inputs @ question.content.entry_spectra.T, mix, transfers, None, varying)
+    return Way(len(inputs), Bound(wrong) if probes is None else probes.local(wrong), words, lambda: made)
 
 
 def describe_unseen(question: Question, notes: Notes):
@@ -103,66 +120,99 @@ def _flat(question):
     return np.ones(len(question.q))
 
 
-def _exact(content, weights, flat, form, notes):
+def _exact(content, weights, flat):
     """The planes that treat every band, or every entry, by itself."""
     spectra = content.entry_spectra
     if not content.is_spectral and 2 * len(spectra) <= len(content.wavelengths):
         # Few entries: transform those; each channel's transfer function of an entry sums over the wavelengths.
         table = np.eye(len(spectra)) if content.labels is not None else None
-        notes.models[form] = (f"exact per band, {len(spectra)} {content.form} planes transformed in place of "
-                              f"{len(weights[0])}")
-        return Planes(flat, table, np.ones((len(weights), len(spectra))), weights[:, None] * spectra)
-    notes.models[form] = f"exact per band, {len(weights[0])} wavelengths"
-    return Planes(flat, None if content.is_spectral else spectra.T, weights, None)
+        return Way(len(spectra), Bound(), f"exact per band, {len(spectra)} {content.form} planes transformed in place "
+                   f"of {len(weights[0])}", lambda: Planes(flat, table, np.ones((len(weights), len(spectra))),
+                                                           weights[:, None] * spectra))
+    return Way(len(weights[0]), Bound(), f"exact per band, {len(weights[0])} wavelengths",
+               lambda: Planes(flat, None if content.is_spectral else spectra.T, weights, None))
 
 
-def _response(question, even, flat, taps):
-    """The channels over wavelength and frequency; even: weights of what is flat."""
+def transfers_at(question: Question, flat, period: int) -> np.ndarray:
+    """Transfer functions of the wavelengths at the frequencies of a square period, what pixels average out with them.
+
+    Real quarters (L, n // 2 + 1, n // 2 + 1) or complex halves (L, n, n // 2 + 1); of a blur that varies over the
+    field at FIELD_POINTS, (L, P, n, n // 2 + 1).
+    """
     optics, scene = question.optics, question.scene
     if optics.is_symmetric and not optics.varies:
-        tables = question.tables.even(question.q, question.cell, SAMPLED_PERIOD, question.ratio, question.moved)
+        tables = question.tables.even(question.q, question.cell, period, question.ratio, question.moved)
     else:
         half = np.array(scene.samples) / 2 / question.corner
         tables = field_tables(question.lens, scene.wavelengths,
-                              half * FIELD_POINTS if optics.varies else FIELD_POINTS[:1])
+                              half * FIELD_POINTS if optics.varies else FIELD_POINTS[:1], period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
+    taps, _ = taps_of(question)
     if taps is not None:  # what the pixels average out is no error
-        fx = np.arange(SAMPLED_PERIOD // 2 + 1) / SAMPLED_PERIOD
-        fy = np.fft.fftfreq(SAMPLED_PERIOD) if tables.shape[-2] > len(fx) else fx
+        fx = np.arange(period // 2 + 1) / period
+        fy = np.fft.fftfreq(period) if tables.shape[-2] > len(fx) else fx
         tables = tables * pixel_response(taps, fy, fx)
-    cfa = question.sensor.cfa_indices
+    return tables
+
+
+def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
+    """Windows of the scene in which errors are computed."""
+    scene, content = question.scene, question.content
+    flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
+    tables = np.ones((1, SIDE, SIDE // 2 + 1))
+    if question.is_blurred:
+        tables = transfers_at(question, flat, SIDE)
+        tables = tables[:, 0] if tables.ndim == 4 else tables  # on the axis
+        if tables.shape[1] < SIDE:
+            tables = tables[:, np.minimum(np.arange(SIDE), SIDE - np.arange(SIDE))]
+    count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
+    windows = Windows.of(picture.brightness, scene.margin, scene.border, count)
+    return Probes.of(content, windows, scene.border, tables=np.broadcast_to(tables, (len(flat), *tables.shape[1:])),
+                     weights=question.weights, even=question.weights / flat, share=question.share,
+                     level=picture.level, seconds=operation.seconds, noise=operation.noise)
+
+
+def response_of(question: Question, even, flat) -> Response:
+    """The channels over wavelength and frequency; even: weights of what is flat."""
+    cfa, tables = question.sensor.cfa_indices, transfers_at(question, flat, SAMPLED_PERIOD)
     return question.kept("response", (even, tables, cfa), lambda: Response.of(even, tables, cfa))
 
 
-def _fused(question, response, planes):
-    """The joint operator of the lowest rank predicted to keep the limit; None where `planes` exact ones do as well.
+def _fused(question, response, flat, planes, probes):
+    """The joint operators of fewer than `planes` planes.
 
-    The error is predicted for the scene's own spectra whatever the prior: what lies outside the prior is seen, and
-    raises the rank.
+    Their errors are those of the scene's own spectra whatever the prior: what lies outside the prior is seen.
     """
-    own, prior = question.facts.spectra, prior_of(question)
+    prior, content = prior_of(question), question.content
     if not np.trace(prior) > 0:
-        return None
+        return
     operator = question.kept("operator", (response, prior), lambda: joint_operator(response, prior))
-    for rank in operator.ranks:
-        error = operator.predicted(rank, own)
-        if rank >= planes:
-            break
-        if PREDICTION_FACTOR * error < question.limit:
-            return (operator.w_in[:, :rank].T, operator.transfers(rank), error,
-                    f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} wavelengths")
-    return None
+    most = min(operator.ranks[-1], planes - 1)
+    for rank, bound in probes.fused(operator.w_in[:, :most].T, operator.transfers(most)):
+        def make(rank=rank, bound=bound):
+            inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
+            watch = Watch.of(response, inputs, transfers, content)
+            expected = operator.predicted(rank, question.facts.spectra)
+            return Planes(flat, inputs @ content.entry_spectra.T, np.ones(transfers.shape[:2]), transfers,
+                          replace(watch, factor=bound.rms / expected if expected else 1.0))
+
+        yield Way(rank, bound, f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} "
+                  "wavelengths", make)
 
 
-def _guaranteed(question, response, planes):
-    """The operator of fewest planes a channel whose bound over all spectra keeps the limit; None: exact is as cheap."""
+def _guaranteed(question, response, flat, planes, probes):
+    """Operators that are right for every spectrum, to a bound, of fewer than `planes` planes."""
     channels, bands = response.weights.shape
     for count in range(1, (planes - 1) // channels + 1):
-        operator = channel_operator(response, count)
-        if operator.bound < question.limit:
-            return (operator.table, operator.transfers, operator.bound,
-                    f"{count} planes a channel, right for every spectrum, in place of {bands}")
-    return None
+        operator = question.kept(f"{count} planes a channel", (response, count), lambda count=count: channel_operator(
+            response, count))
+
+        def make(operator=operator):
+            return Planes(flat, operator.table @ question.content.entry_spectra.T,
+                          np.ones(operator.transfers.shape[:2]), operator.transfers)
+
+        yield Way(count * channels, probes.local(operator.bound),
+                  f"{count} planes a channel, right for every spectrum, in place of {bands}", make)
 
 
 def prior_of(question: Question) -> np.ndarray:

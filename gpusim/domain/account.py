@@ -1,0 +1,98 @@
+"""What a plan errs, cause by cause, and whether that is within a tolerance."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from math import hypot
+
+from gpusim.domain.tolerance import Tolerance
+
+SAFETY = 1.5  # over what is predicted: where it is within the tolerance, so was the true error in 99 % of random frames
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Error of the mean electrons by one cause.
+
+    rms: root mean square over that of the frame [1]. p999_sigma, max_sigma: 99.9 % quantile and maximum over the pixels
+    of |error| over the pixel's own noise sigma [1].
+    """
+
+    rms: float = 0.0
+    p999_sigma: float = 0.0
+    max_sigma: float = 0.0
+
+    def times(self, factor: float) -> "Bound":
+        """The error of a cause that is `factor` times as strong."""
+        return Bound(self.rms * factor, self.p999_sigma * factor, self.max_sigma * factor)
+
+    def ratio(self, tolerance: Tolerance) -> float:
+        """Error over tolerance, of the figure that is nearest to being broken or farthest beyond."""
+        return self.nearest(tolerance)[0]
+
+    def nearest(self, tolerance: Tolerance) -> tuple[float, str, float, float, str]:
+        """Error over tolerance, name of the figure, its error, its tolerance and their unit: of the one nearest."""
+        figures = ((self.rms, tolerance.rms, "rms", " rms"),
+                   (self.p999_sigma, tolerance.p999_sigma, "p999_sigma", " sigma at 99.9 %"),
+                   (self.max_sigma, tolerance.max_sigma, "max_sigma", " sigma"))
+        return max((value / bound, name, value, bound, unit) for value, bound, name, unit in figures
+                   if bound is not None)
+
+
+def total(bounds: Iterable[Bound]) -> Bound:
+    """The error of several causes together: independent in the mean square, at worst all at one pixel."""
+    bounds = list(bounds)
+    return Bound(hypot(*(one.rms for one in bounds)), hypot(*(one.p999_sigma for one in bounds)),
+                 sum(one.max_sigma for one in bounds))
+
+
+@dataclass(frozen=True)
+class Account:
+    """Named errors of the mean electrons, predicted for the scene as sampled.
+
+    seconds: exposure time that they are predicted for [s]. The root mean square does not depend on it.
+    """
+
+    bounds: dict[str, Bound] = field(default_factory=dict)
+    seconds: float = 1.0
+
+    @property
+    def total(self) -> Bound:
+        """All together."""
+        return total(self.bounds.values())
+
+    def at(self, seconds: float) -> "Account":
+        """The same at another exposure time [s]: sigmas grow no more than with the time, and shrink as shot noise.
+
+        Twice the light is twice the error, and a sigma that is at least as large and at most 2^(1/2) times.
+        """
+        ratio = seconds / self.seconds
+        factor = ratio if ratio > 1 else ratio**0.5
+        return Account({name: Bound(one.rms, one.p999_sigma * factor, one.max_sigma * factor)
+                        for name, one in self.bounds.items()}, seconds)
+
+    def verdict(self, tolerance: Tolerance, remedy: str = "") -> "Verdict":
+        """Whether the tolerance is met, by what is predicted. remedy: what would meet it, where it is not."""
+        ratio, figure, value, bound, unit = self.total.nearest(tolerance)
+        shares = {name: getattr(one, figure) for name, one in self.bounds.items()}
+        by = max(shares, key=lambda name: shares[name], default="")
+        met = SAFETY * ratio <= 1
+        words = f"{value:.2g} of {bound:.2g}{unit}, predicted"
+        if not met:
+            words += f" (times {SAFETY:g} to be sure), most of it {by}: {shares[by]:.2g}"
+        return Verdict(met, words, by, "" if met else remedy)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a tolerance is met.
+
+    words: the figures. by: the cause of most of the error. remedy: what would meet it, "" where it is met.
+    """
+
+    met: bool
+    words: str
+    by: str
+    remedy: str = ""
+
+    def __str__(self):
+        return f"{'met' if self.met else 'NOT met'}: {self.words}{self.remedy and f'; {self.remedy}'}"

@@ -1,0 +1,219 @@
+"""Probes: small windows of a scene in which the error of a plan is computed exactly, pixel by pixel, before any frame.
+
+A plan leaves out part of what the lens does to the spectra. In a window that error is known: transfer functions times
+the window's own spectra. Windows are drawn with a probability that grows with the energy of the picture's edges, since
+errors of a blur are at edges, and weighted by its inverse (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952).
+A transform repeats a window; its rim, where that is seen, does not count.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+
+from gpusim.domain.account import Bound
+from gpusim.domain.content import Content
+from gpusim.planner.fusion import SAMPLED_PERIOD
+
+SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
+INNER = SIDE - 2 * RIM
+COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
+EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
+
+
+def border_indices(at, n: int, border: str) -> np.ndarray:
+    """Which of n samples each place of an axis shows, those beyond as the border says; "zero": the outermost."""
+    if border == "reflect":
+        return np.minimum(at % (2 * n), (-1 - at) % (2 * n))
+    return np.clip(at, 0, n - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Which parts of a picture are probed.
+
+    rows, cols: places of each one's samples, int (n, SIDE), which may lie outside the picture. weight: of the frame's
+    samples that each stands for, sums to 1, (n,). steepest: largest step between neighbours anywhere over the largest
+    in any window's inner part, at least 1.
+    """
+
+    rows: np.ndarray
+    cols: np.ndarray
+    weight: np.ndarray
+    steepest: float
+
+    @classmethod
+    def of(cls, brightness, margin: int, border: str, count: int) -> "Windows":
+        """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols)."""
+        whole = brightness if margin or border != "zero" else np.pad(brightness, 1)
+        more = margin or (1 if border == "zero" else 0)
+        steps = np.zeros(whole.shape, np.float32)
+        down, across = np.abs(np.diff(whole, axis=0)), np.abs(np.diff(whole, axis=1))
+        steps[:-1], steps[:, :-1] = down, np.maximum(steps[:, :-1], across)
+        np.maximum(steps[1:], down, out=steps[1:])
+        steps = steps[more : whole.shape[0] - more or None, more : whole.shape[1] - more or None]
+        starts = [_starts(n) for n in steps.shape]
+        tiles = [steps[y : y + INNER, x : x + INNER] for y in starts[0] for x in starts[1]]
+        energy = np.array([np.square(tile).mean(dtype=np.float64) for tile in tiles])
+        largest = np.array([tile.max() for tile in tiles])
+        chance = np.full(len(tiles), 1 / len(tiles))
+        if energy.sum() > 0:
+            chance = EDGES * energy / energy.sum() + (1 - EDGES) * chance
+        drawn, times = _drawn(chance, count)
+        weight = times / chance[drawn]
+        places = [(y, x) for y in starts[0] for x in starts[1]]
+        first = np.array([places[k] for k in drawn]) + margin - RIM
+        seen = largest[drawn].max()
+        return cls(first[:, :1] + np.arange(SIDE), first[:, 1:] + np.arange(SIDE), weight / weight.sum(),
+                   float(largest.max() / seen) if seen > 0 else 1.0)
+
+
+def _starts(n):
+    """First samples of windows' inner parts that cover an axis."""
+    return np.unique(np.minimum(np.arange(0, max(n, 1), INNER), max(n - INNER, 0)))
+
+
+def _drawn(chance, count):
+    """Which are drawn and how often, one after each `count`-th part of all chances; each one where they are few."""
+    if len(chance) <= count:
+        return np.arange(len(chance)), count * chance
+    places = (np.arange(count) + 0.5) / count
+    return np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), places), return_counts=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """Windows of a scene as channels see them through a lens, in electrons per second.
+
+    windows: which. spectra: transforms of the wavelengths less their means in each window, complex (n, L, SIDE,
+    SIDE // 2 + 1). means: (n, L). tables: transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE //
+    2 + 1). weights: electrons per content, (C, L); even: of what the tables make flat. share: part of the pixels that
+    has each channel, (C,). level: root mean square of the frame's channels together. seconds: of the exposure [s].
+    noise: variance of the read noise [e-2].
+    """
+
+    windows: Windows
+    spectra: np.ndarray
+    means: np.ndarray
+    tables: np.ndarray
+    weights: np.ndarray
+    even: np.ndarray
+    share: np.ndarray
+    level: float
+    seconds: float
+    noise: float
+
+    @classmethod
+    def of(cls, content: Content, windows: Windows, border: str, **known) -> "Probes":
+        """Those of a content; known: the rest."""
+        bands = _bands(content, windows, border)
+        means = bands[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
+        spectra = scipy.fft.rfft2((bands - means[..., None, None]).astype(np.float32), workers=-1)
+        return cls(windows, spectra, means, **known)
+
+    @cached_property
+    def exact(self) -> np.ndarray:
+        """Transforms of the channels less their means, complex (n, C, SIDE, SIDE // 2 + 1)."""
+        return self._sums(self.even)
+
+    def _sums(self, weights):
+        """Sums over the wavelengths by `weights` (C, L), behind their transfer functions."""
+        through = self.spectra * self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
+        return np.einsum("cl,nlyx->ncyx", weights.astype(np.float32), through, optimize=True)
+
+    @cached_property
+    def signal(self) -> np.ndarray:
+        """Electrons per second of the channels in the windows' inner parts, (n, C, INNER, INNER)."""
+        return np.maximum(self._inside(self.exact) + (self.means @ self.weights.T)[..., None, None], 0)
+
+    @staticmethod
+    def _inside(spectra):
+        return scipy.fft.irfft2(spectra, (SIDE, SIDE), workers=-1)[..., RIM:-RIM, RIM:-RIM]
+
+    @cached_property
+    def _size(self):
+        """Root mean square of the mosaic [e- s-1]: its share of the channels together, which the whole frame tells."""
+        def mean(values):
+            return np.einsum("n,n->", self.windows.weight, values)
+
+        together = mean(np.square(self.signal.sum(axis=1)).mean(axis=(1, 2)))
+        mosaic = mean(np.einsum("c,ncyx->n", self.share, np.square(self.signal)) / INNER**2)
+        return self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
+
+    def bound(self, wrong) -> Bound:
+        """The error of channels whose transforms are wrong by so much, complex (n, C, SIDE, SIDE // 2 + 1)."""
+        if not self._size > 0:
+            return Bound()
+        error = np.abs(self._inside(wrong))
+        weight = self.windows.weight[:, None] * self.share / INNER**2  # of a pixel
+        rms = np.sqrt(np.einsum("nc,ncyx->", weight, np.square(error))) / self._size
+        sigma = error * self.seconds / np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+        return Bound(float(rms), _quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
+
+    @cached_property
+    def unblurred(self) -> Bound:
+        """The error of leaving the blur out."""
+        flat = np.real(self.tables[:, 0, 0])
+        return self.bound(np.einsum("cl,nlyx->ncyx", (self.even * flat).astype(np.float32), self.spectra,
+                                    optimize=True) - self.exact)
+
+    def moved(self, move: float) -> Bound:
+        """The error of a picture that is displaced by so many samples, at worst in both directions."""
+        f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)
+        return self.bound(self.exact * (np.exp(2j * np.pi * move / np.sqrt(2) * f) - 1).astype(np.complex64))
+
+    def local(self, rms: float) -> Bound:
+        """An error of this relative root mean square that is where a blur is seen, at edges."""
+        shape = self.unblurred
+        if not shape.rms > 0:
+            return Bound(rms, rms * self._sigmas, rms * self._sigmas)
+        return shape.times(rms / shape.rms)
+
+    @cached_property
+    def _sigmas(self):
+        """Noise sigmas in the root mean square of the frame."""
+        size = self._size * self.seconds
+        return float(size / np.sqrt(max(size + self.noise, 1)))
+
+    def even_error(self, rms: float) -> Bound:
+        """An error of this relative root mean square that is everywhere alike, as that of rounding in transforms."""
+        size = self._size * self.seconds * rms
+        sigma = np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+        # the quantile and the maximum of a normal distribution, over a million pixels
+        return Bound(rms, float(3.3 * size / np.quantile(sigma, 0.01)), float(5 * size / sigma.min()))
+
+    def fused(self, table, transfers):
+        """Bounds of the first n planes for each n from the number of channels on.
+
+        table: planes from spectra, (planes, L). transfers: weight of each wavelength's transfer function in that of a
+        plane in a channel, (C, planes, L).
+        """
+        planes = np.einsum("kl,nlyx->nkyx", table.astype(np.float32), self.spectra, optimize=True)
+        responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)
+        left = self.exact.copy()
+        for k in range(len(table)):
+            left -= responses[:, k].astype(left.dtype) * planes[:, k, None]
+            if k + 1 >= len(self.weights):
+                yield k + 1, self.bound(left)
+
+
+def _bands(content, windows, border):
+    """Spectra of the windows' samples, (n, L, SIDE, SIDE)."""
+    rows, cols = content.shape
+    y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
+    taken = content.take(y[:, :, None], x[:, None, :])  # samples (..., n, SIDE, SIDE)
+    taken = taken.with_samples(lambda array: array.reshape(*array.shape[:-3], -1, SIDE))
+    bands = taken.bands_at(slice(None)).reshape(len(content.wavelengths), -1, SIDE, SIDE).swapaxes(0, 1)
+    if border == "zero":
+        inside = ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
+        bands = bands * inside
+    return bands
+
+
+def _quantile(values, weight, part):
+    """Quantile of values (n, C, ...) whose weights are (n, C)."""
+    order = np.argsort(values, axis=None)
+    each = np.broadcast_to(weight[(..., *[None] * (values.ndim - 2))], values.shape).ravel()[order]
+    below = np.cumsum(each)
+    return float(values.ravel()[order[min(np.searchsorted(below, part * below[-1]), len(order) - 1)]])

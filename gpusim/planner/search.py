@@ -1,0 +1,109 @@
+"""The cheapest of all ways to blur a scene that is predicted to meet a tolerance."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import log2, prod
+
+from gpusim.domain.account import SAFETY, Bound, total
+from gpusim.domain.tolerance import Tolerance
+from gpusim.planner.models.border import Surroundings
+from gpusim.planner.models.spectral import Way
+from gpusim.planner.question import Question
+
+FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
+NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
+
+REMEDIES = {"pyramid": "transforms would, so leave fft_free out",
+            "transforms": "float64 would, so use device numpy",
+            "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
+            "depth": "a scene that gives its layers, or less depth, would be met"}
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """A way to treat wavelengths in as much of the surroundings. bounds: its errors. cost: see `cost_of`."""
+
+    way: Way
+    around: Surroundings
+    bounds: dict[str, Bound]
+    cost: float
+
+    @property
+    def total(self) -> Bound:
+        """All of its errors together."""
+        return total(self.bounds.values())
+
+
+def cost_of(question: Question, count: int, period, folded: bool) -> float:
+    """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
+
+    count: planes that are transformed. It does not depend on a device, so that plans are the same on all.
+    """
+    content, channels = question.content, len(question.weights)
+    samples, area = prod(content.shape), float(prod(period))
+    transform = 2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area
+    read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
+    back = 1 if folded else channels
+    return (count + back) * transform + count * back * 8 * area * 0.5 + FLOP_PER_BYTE * read
+
+
+def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings], fixed: dict[str, Bound],
+            folds) -> list[Option]:
+    """Ways in more and more of the surroundings, none dearer than the exact one in the first.
+
+    fixed: errors of all. folds: function from surroundings to whether the mosaic folds into the transforms.
+    """
+    found: list[Option] = []
+    most = 0.0
+    for around in arounds:
+        costs = [cost_of(question, way.count, around.period, folds(around)) for way in ways]
+        most = most or costs[-1]
+        affordable = [Option(way, around, fixed | {"planes": way.bound, "border": around.bound}, cost)
+                      for way, cost in zip(ways, costs, strict=True) if cost <= most]
+        if not affordable:
+            break
+        found += affordable
+        tolerance = question.tolerance
+        if tolerance is None or any(SAFETY * option.total.ratio(tolerance) <= 1 for option in affordable):
+            break  # more surroundings cost more
+    return found
+
+
+def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundings], fixed: dict[str, Bound]) -> str:
+    """What would meet the tolerance that no option of `found` does, in words; "" where one does.
+
+    arounds: more surroundings than these options have.
+    """
+    tolerance = question.tolerance
+    if tolerance is None or any(SAFETY * option.total.ratio(tolerance) <= 1 for option in found):
+        return ""
+    best = min(found, key=lambda option: option.total.ratio(tolerance))
+    rest = [bound for name, bound in best.bounds.items() if name != "border"]
+    by = max(best.bounds, key=lambda name: best.bounds[name].ratio(tolerance))
+    if SAFETY * total(rest).ratio(tolerance) <= 1:
+        for around in arounds:
+            if SAFETY * total([*rest, around.bound]).ratio(tolerance) <= 1:
+                times = cost_of(question, best.way.count, around.period, False) / best.cost
+                return f"reach = {around.reach} pixels would meet it, at about {times:.2g} times the cost"
+        return "no reach that transforms take meets it"
+    return REMEDIES.get(by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met")
+
+
+def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
+    """The cheapest option that meets the tolerance, or else the cheapest of the most accurate; without one the last."""
+    if tolerance is None:
+        return found[-1]
+    good = [option for option in found if SAFETY * option.total.ratio(tolerance) <= 1]
+    if not good:
+        least = min(option.total.ratio(tolerance) for option in found)
+        good = [option for option in found if option.total.ratio(tolerance) <= NEAR * least]
+    return min(good, key=lambda option: option.cost)
+
+
+def front(found: list[Option], tolerance: Tolerance) -> list[Option]:
+    """The options of which none is both cheaper and more accurate, from the cheapest on."""
+    best: list[Option] = []
+    for option in sorted(found, key=lambda option: option.cost):
+        if not best or option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
+            best.append(option)
+    return best
