@@ -64,10 +64,7 @@ def devices(refresh: bool = False) -> list[dict]:
 
     error is "" for a usable device, else why it is not. refresh: measure again instead of reading the cache.
     """
-    try:
-        cache = _cache_path()
-    except RuntimeError:  # nobody's home
-        cache = None
+    cache = cache_file("devices")
     entries = None if refresh or cache is None else _cached(cache)
     if entries:
         return entries
@@ -76,7 +73,7 @@ def devices(refresh: bool = False) -> list[dict]:
     if failure:
         entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
     if cache is not None:
-        _write(cache, entries)
+        write_cache(cache, entries)
     return entries
 
 
@@ -92,7 +89,8 @@ def _cached(cache):
     return None if age > PATIENCE and any(entry["error"] for entry in entries) else entries
 
 
-def _write(cache, entries):
+def write_cache(cache: Path, entries):
+    """Write plain data to a file in the user's cache folder, where that can be written to."""
     temporary = cache.with_suffix(f".{os.getpid()}")
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
@@ -103,7 +101,15 @@ def _write(cache, entries):
             temporary.unlink()
 
 
-def _cache_path():
+def cache_file(name: str) -> Path | None:
+    """A file in the user's cache folder for what was measured with these packages and drivers; None without a home."""
+    try:
+        return _cache_path(name)
+    except RuntimeError:
+        return None
+
+
+def _cache_path(name="devices"):
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
     facts = [sys.prefix, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
         "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES",
@@ -117,7 +123,7 @@ def _cache_path():
     facts += sorted(f"{icd} {icd.stat().st_mtime_ns}" for icd in vendors.glob("*.icd")) if vendors.is_dir() else []
     with contextlib.suppress(OSError):
         facts.append(Path("/proc/driver/nvidia/version").read_text())
-    return folder / f"devices-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+    return folder / f"{name}-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
 
 
 def _names():

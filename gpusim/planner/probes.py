@@ -19,6 +19,8 @@ from gpusim.planner.fusion import SAMPLED_PERIOD
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
 INNER = SIDE - 2 * RIM
 COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
+MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
+TOP = 0.03  # of the pixels, that hold the last thousandth of the frame's whatever the windows' weights
 EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
 
 
@@ -46,15 +48,8 @@ class Windows:
     @classmethod
     def of(cls, brightness, margin: int, border: str, count: int) -> "Windows":
         """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols)."""
-        whole = brightness if margin or border != "zero" else np.pad(brightness, 1)
-        more = margin or (1 if border == "zero" else 0)
-        steps = np.zeros(whole.shape, np.float32)
-        down, across = np.abs(np.diff(whole, axis=0)), np.abs(np.diff(whole, axis=1))
-        steps[:-1], steps[:, :-1] = down, np.maximum(steps[:, :-1], across)
-        np.maximum(steps[1:], down, out=steps[1:])
-        steps = steps[more : whole.shape[0] - more or None, more : whole.shape[1] - more or None]
-        starts = [_starts(n) for n in steps.shape]
-        tiles = [steps[y : y + INNER, x : x + INNER] for y in starts[0] for x in starts[1]]
+        starts, steps = _steps(brightness, margin, border)
+        tiles = [steps[y][:, x : x + INNER] for y in starts[0] for x in starts[1]]
         energy = np.array([np.square(tile).mean(dtype=np.float64) for tile in tiles])
         largest = np.array([tile.max() for tile in tiles])
         chance = np.full(len(tiles), 1 / len(tiles))
@@ -67,6 +62,31 @@ class Windows:
         seen = largest[drawn].max()
         return cls(first[:, :1] + np.arange(SIDE), first[:, 1:] + np.arange(SIDE), weight / weight.sum(),
                    float(largest.max() / seen) if seen > 0 else 1.0)
+
+
+def _steps(brightness, margin, border):
+    """First samples of windows' inner parts along both axes, and steps to neighbours in some rows of each, by row.
+
+    A dark world around the frame is a step, too.
+    """
+    rows, cols = (n - 2 * margin for n in brightness.shape)
+    starts = [_starts(n) for n in (rows, cols)]
+    stride, steps = max(1, round(brightness.size / MOST_STEPS)), {}
+    for y in starts[0]:
+        at = margin + np.arange(y, min(y + INNER, rows), stride)
+        line, below = brightness[at], brightness[np.minimum(at + 1, len(brightness) - 1)]
+        step = np.abs(below - line)
+        across = np.abs(np.diff(line, axis=1))
+        np.maximum(step[:, :-1], across, out=step[:, :-1])
+        np.maximum(step[:, 1:], across, out=step[:, 1:])
+        step = step[:, margin : margin + cols]
+        if border == "zero":
+            step[:, 0], step[:, -1] = np.maximum(step[:, 0], line[:, 0]), np.maximum(step[:, -1], line[:, -1])
+            for edge, row in ((0, 0), (rows - 1, -1)):
+                if y <= edge < y + INNER:
+                    step[row] = np.maximum(step[row], brightness[edge])
+        steps[y] = step
+    return starts, steps
 
 
 def _starts(n):
@@ -213,7 +233,12 @@ def _bands(content, windows, border):
 
 def _quantile(values, weight, part):
     """Quantile of values (n, C, ...) whose weights are (n, C)."""
-    order = np.argsort(values, axis=None)
-    each = np.broadcast_to(weight[(..., *[None] * (values.ndim - 2))], values.shape).ravel()[order]
-    below = np.cumsum(each)
-    return float(values.ravel()[order[min(np.searchsorted(below, part * below[-1]), len(order) - 1)]])
+    each = np.broadcast_to(weight[(..., *[None] * (values.ndim - 2))], values.shape).ravel()
+    values, above, count = values.ravel(), (1 - part) * each.sum(), max(int(TOP * values.size), 1)
+    while True:
+        top = np.argpartition(values, len(values) - count)[-count:]
+        if count == len(values) or each[top].sum() > above:
+            break
+        count = min(4 * count, len(values))
+    top = top[np.argsort(values[top])[::-1]]
+    return float(values[top[min(np.searchsorted(np.cumsum(each[top]), above), count - 1)]])

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from gpusim.data.reflectances import reflectances
-from gpusim.domain.account import Bound
+from gpusim.domain.account import SAFETY, Bound
 from gpusim.planner.drift import Watch
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
@@ -22,6 +22,7 @@ from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
 
 PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
+ENOUGH = 0.25  # of a tolerance: where fused planes err less, more of them would not help the sum
 FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 at f/2.8 and 1.4 um on natural scenes
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
@@ -196,8 +197,10 @@ def _fused(question, response, flat, planes, probes):
             return Planes(flat, inputs @ content.entry_spectra.T, np.ones(transfers.shape[:2]), transfers,
                           replace(watch, factor=bound.rms / expected if expected else 1.0))
 
-        yield Way(rank, bound, f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} "
-                  "wavelengths", make)
+        words = f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} wavelengths"
+        yield Way(rank, bound, words, make)
+        if SAFETY * bound.ratio(question.tolerance) < ENOUGH:
+            return
 
 
 def _guaranteed(question, response, flat, planes, probes):
