@@ -1,18 +1,15 @@
-"""The command line: `gpusim simulate | train-l3 | verify | bench | devices`."""
+"""The command line: `gpusim simulate | plan | train-l3 | verify | bench | devices`."""
 
 import argparse
 import dataclasses
 import json
-import re
 import sys
 from pathlib import Path
 
 from gpusim import __version__
-from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange, UnknownName, one_line
+from gpusim.domain.errors import BadFile, GpusimError, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
-
-TIME = re.compile(r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+)(?:/(\d+\.?\d*))? ?(s|ms|us)?", re.ASCII)
-PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
+from gpusim.options import DEVICE_HELP, add_asked, operated, scene_of, size, whole
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -36,15 +33,12 @@ def _simulate(arguments):
     from gpusim.data.cameras import open_camera
     from gpusim.io.atomic import atomic_path
     from gpusim.io.frames import check_format
-    from gpusim.io.scenes import open_scene
     from gpusim.simulator import Simulator
 
     outputs = [_numbered(path, arguments.frames) for path in arguments.out]
     _check_outputs(outputs, arguments)  # said before the work, not after it
-    camera = _operated(open_camera(arguments.camera), arguments)
-    bands = dict(_named(text) for text in arguments.band)
-    scene = open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
-                       bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
+    camera = operated(open_camera(arguments.camera), arguments)
+    scene = scene_of(arguments)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, fft_free=arguments.fft_free, strict=arguments.strict)
     for path in arguments.out:
@@ -72,25 +66,22 @@ def _simulate(arguments):
     return 1 if any(report.meets_tolerance is False for report in reports) else 0
 
 
-def _operated(camera, arguments):
-    """The camera with what the command line says of it: exposure, speed, lens and display scaling."""
-    optics, sensor, processor = camera.optics, camera.sensor, camera.processor
-    if arguments.exposure is not None:
-        sensor = dataclasses.replace(sensor, exposure_time=None if arguments.exposure == "auto" else arguments.exposure)
-    if arguments.iso is not None:
-        from gpusim.planner.speed import gain_for_speed
+def _plan(arguments):
+    from gpusim.data.cameras import open_camera
+    from gpusim.forecast import Forecast
+    from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.simulator import Simulator
 
-        # the speed that was asked for: automatic exposure raises no gain on its own
-        sensor = dataclasses.replace(sensor, analog_gain=gain_for_speed(sensor, arguments.iso),
-                                     auto_exposure=dataclasses.replace(sensor.auto_exposure, most_gain=1.0))
-    lens = {"f_number": arguments.f_number, "object_distance": arguments.focus}
-    lens = {key: value for key, value in lens.items() if value is not None}
-    if lens and optics.psf is not None:
-        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
-                      "neither, or a camera without [optics] psf")
-    if arguments.scaling is not None:
-        processor = dataclasses.replace(processor, scaling=arguments.scaling)
-    return dataclasses.replace(camera, optics=dataclasses.replace(optics, **lens), sensor=sensor, processor=processor)
+    check_output(arguments.json)
+    simulator = Simulator(operated(open_camera(arguments.camera), arguments), device=arguments.device,
+                          tolerance=arguments.tolerance, guaranteed=arguments.guaranteed, fft_free=arguments.fft_free,
+                          strict=arguments.strict)
+    forecast = Forecast.of(simulator, scene_of(arguments))
+    print(forecast)
+    if arguments.json:
+        with atomic_path(arguments.json) as temporary:
+            temporary.write_text(json.dumps(forecast.as_dict(), indent=2) + "\n")
+    return 0 if forecast.plan.verdict is None or forecast.plan.verdict.met else 1
 
 
 def _numbered(path, count):
@@ -125,14 +116,6 @@ def _check_outputs(outputs, arguments):
             raise BadFile(path, f"{taken[here]}, and would be written over; give every -o and --report a name of its "
                                 "own")
         taken[here] = "is given twice"
-
-
-def _named(text):
-    name, _, value = text.rpartition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise OutOfRange("--band", text, "NAME=wavelength in nm, such as --band red=630") from None
 
 
 def _verify(arguments):
@@ -233,66 +216,6 @@ def _write_json(path, rows):
         temporary.write_text(json.dumps(rows, indent=2, allow_nan=False) + "\n")
 
 
-def size(text: str) -> tuple[int, int]:
-    """Columns and rows of `COLSxROWS` on a command line."""
-    try:
-        cols, rows = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted COLSxROWS, such as 1920x1080") from None
-    return cols, rows
-
-
-def _whole(low, high):
-    def read(text):
-        try:
-            value = int(text)
-        except ValueError:
-            value = None
-        if value is None or not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, {low} .. {high}")
-        return value
-    return read
-
-
-def _time(text):
-    from gpusim.domain.exposure import LONGEST
-
-    if text == "auto":
-        return text
-    match = TIME.fullmatch(text)
-    time = float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]] if match and float(match[2] or 1) else 0.0
-    if not 0 < time <= LONGEST:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0 and up "
-                                         f"to {LONGEST:g} s, or auto")
-    return time
-
-
-def _positive(wanted, most):
-    def read(text):
-        try:
-            value = float(text)
-        except ValueError:
-            value = 0.0
-        if not 0 < value <= most:
-            raise argparse.ArgumentTypeError(f"{text!r}: wanted {wanted}")
-        return value
-    return read
-
-
-def _add_operation(simulate):
-    """Options by which a camera is operated."""
-    simulate.add_argument("--exposure", type=_time, metavar="TIME", help="1/60, 0.01 [s], 10ms, 500us, or auto: "
-                          "metered (default: the camera's)")
-    simulate.add_argument("--iso", type=_positive("a number above 0", float("inf")), metavar="N", help="speed by "
-                          "saturation, by the analog gain; from the base speed on (default: the camera's gain)")
-    simulate.add_argument("--f-number", type=_positive("0.1 .. 1000", 1e3), metavar="N", help="such as 2.8 (default: "
-                          "the camera's)")
-    simulate.add_argument("--focus", type=_positive("metres above 0, or inf", float("inf")), metavar="METRES",
-                          help="distance of the plane in focus, or inf (default: the camera's)")
-    simulate.add_argument("--scaling", choices=("exposure", "normalised"), help="of the picture: by exposure longer is "
-                          "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
-
-
 class OneLineParser(argparse.ArgumentParser):
     """Wrong arguments are said in one line, as every other mistake is."""
 
@@ -305,37 +228,25 @@ def _parser():
                                      "image processor, display.")
     parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    device_help = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 
     simulate = commands.add_parser("simulate", help="a scene through a camera: raw frame, picture and report")
-    simulate.add_argument("scene", metavar="SCENE", help="a chart (colorchecker, slanted-edge, ramp, flat, points, "
-                          "deadleaves, sweep) or a file: spectral .exr, .npz, photograph .png or .jpg")
-    simulate.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
-    simulate.add_argument("--device", default="auto", help=device_help)
-    simulate.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
-    simulate.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
-    simulate.add_argument("--strict", action="store_true", help="refuse a tolerance that is not predicted to be met")
-    simulate.add_argument("--fft-free", action="store_true", help="blur without Fourier transforms")
-    simulate.add_argument("--seed", type=_whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
-    simulate.add_argument("--frames", type=_whole(1, 10**6), default=1, metavar="N",
+    add_asked(simulate)
+    simulate.add_argument("--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
+    simulate.add_argument("--frames", type=whole(1, 10**6), default=1, metavar="N",
                           help="draw N noisy frames into numbered files")
     simulate.add_argument("-o", "--out", action="append", default=[], metavar="OUT",
                           help=".png display, .exr linear RGB, .dng raw, .npz electrons and DN; may be repeated")
     simulate.add_argument("--report", metavar="FILE.json", help="what was modelled, times and errors")
     simulate.add_argument("--verify", action="store_true", help="also run the float64 reference: the true error")
-    simulate.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
-    simulate.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
-                          "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
-                          "scene's, 1)")
-    simulate.add_argument("--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)")
-    simulate.add_argument("--luminance", type=float, metavar="CD_M2", help="of white in the scene's light")
-    simulate.add_argument("--border", choices=("zero", "edge", "reflect"), help="the world outside the frame")
-    _add_operation(simulate)
-    simulate.add_argument("--band", action="append", default=[], metavar="NAME=NM",
-                          help="wavelength of an .exr channel that is not named by it; may be repeated")
     simulate.set_defaults(run=_simulate)
 
-    train_l3.add_command(commands, device_help)
+    plan = commands.add_parser("plan", help="what would be modelled, what left out, the errors and the time; status 1 "
+                               "where a tolerance is not met")
+    add_asked(plan)
+    plan.add_argument("--json", metavar="FILE", help="write it")
+    plan.set_defaults(run=_plan)
+
+    train_l3.add_command(commands, DEVICE_HELP)
 
     verify = commands.add_parser("verify", help="every stage against the float64 reference; status 1 on any failure")
     bench = commands.add_parser("bench", help="speed of every stage against its error")

@@ -196,7 +196,8 @@ def test_verification_holds_at_finer_scenes(device, ratio=1.5):
     """The report's true error is the border's as predicted, within 2.5, and float32's, 3.8e-6 of the peak."""
     scene = chart("colorchecker", size=(36, 24), samples_per_pixel=ratio)
     report = Simulator(open_camera("phone"), device=device, reach=36)(scene, verify=True).report
-    assert report.account.bounds["border"].rms / 2.5 < report.error.rms < 3.8e-6 + 2.5 * report.account.bounds["border"].rms
+    border = report.account.bounds["border"].rms
+    assert border / 2.5 < report.error.rms < 3.8e-6 + 2.5 * border
     assert {"optics.blur", "optics.sample"} <= {stage.stage for stage in report.stages}
     assert f"finer than {1 / ratio:.3g} pixel" in str(report) and "finer than a pixel" not in str(report)
 

@@ -1,0 +1,90 @@
+"""What a plan will do, err and cost, before any frame: `gpusim plan`."""
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from gpusim.domain.scene import Scene
+from gpusim.domain.tolerance import Tolerance
+from gpusim.planner.plan import Plan
+from gpusim.planner.search import Option
+from gpusim.simulator import Simulator
+from gpusim.speeds import Speeds, frame_ms
+
+BAR = 30  # letters of the longest bar
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """A plan, and what a frame by it takes on a device.
+
+    ms: of every stage of a frame after the first. device: its name. front: the options that were cheaper or more
+    accurate, from the cheapest on, and what a frame by each takes [ms].
+    """
+
+    plan: Plan
+    device: str
+    ms: dict[str, float]
+    front: tuple[tuple[float, Option], ...]
+
+    @classmethod
+    def of(cls, simulator: Simulator, scene: Scene) -> "Forecast":
+        """For a scene. Raises as `Simulator.plan` does."""
+        plan, speeds = simulator.plan(scene), Speeds(simulator.device)
+        front = tuple((sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
+                      for option in plan.front)
+        return cls(plan, simulator.device.name, frame_ms(simulator, plan, speeds), front)
+
+    @property
+    def _tolerance(self) -> Tolerance:
+        return self.plan.tolerance or Tolerance(rms=1.0)
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        plan = self.plan
+        return {"scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
+                "models": plan.models, "left_out": plan.left_out,
+                "bounds": {name: asdict(bound) for name, bound in plan.account.bounds.items()},
+                "predicted": asdict(plan.account.total), "beside": plan.beside,
+                "tolerance": plan.tolerance and asdict(plan.tolerance),
+                "verdict": plan.verdict and asdict(plan.verdict), "ms": self.ms, "frame_ms": sum(self.ms.values()),
+                "bytes": plan.bytes_needed,
+                "front": [{"ms": ms, "planes": option.way.count, "reach": option.around.reach,
+                           "words": option.way.words, "predicted": asdict(option.total)} for ms, option in self.front]}
+
+    def __str__(self):
+        plan, rows = self.plan, self.plan.scene.shape[0]
+        lines = [f"{plan.scene.name} {plan.scene.shape[1]}x{rows} by {plan.camera.name} on {self.device}: about "
+                 f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"]
+        lines += [f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
+                  for stage in [*plan.models, *(stage for stage in self.ms if stage not in plan.models)]]
+        lines += [f"  not modelled: {what}" for what in plan.left_out]
+        lines += self._errors()
+        lines += [f"  beside: {name} {value:.2g}" for name, value in plan.beside.items()]
+        if plan.verdict is not None:
+            lines.append(f"  tolerance: {plan.verdict}")
+        for ms, option in self.front:
+            _, _, value, _, unit = option.total.nearest(self._tolerance)
+            chosen = " (chosen)" if option.way.words in " ".join(plan.models.values()) and (
+                option.around.period == plan.period) else ""
+            lines.append(f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.way.words}, {option.around.reach} pixels of "
+                         f"surroundings{chosen}")
+        return "\n".join(lines)
+
+    def _errors(self):
+        """A bar for every error, of the figure that the tolerance binds most."""
+        bounds = self.plan.account.bounds
+        _, figure, *_, unit = self.plan.account.total.nearest(self._tolerance)
+        values = {name: getattr(bound, figure) for name, bound in bounds.items()}
+        values["all together"] = getattr(self.plan.account.total, figure)
+        most = max(values.values()) or 1.0
+        return [f"  error: {name:22s} {value:8.2g}{unit}  {'#' * int(np.ceil(BAR * value / most))}"
+                for name, value in values.items()]
+
+
+def _varied(plan, option):
+    """The plan as far as its cost goes, by another option."""
+    count, channels = option.way.count, len(plan.weights)
+    table = None if count == len(plan.content.entry_spectra) and plan.content.labels is None else np.empty((count, 0))
+    return replace(plan, period=option.around.period, table=table, mix=np.empty((channels, count)),
+                   transfers=np.empty((channels, count, 0)))

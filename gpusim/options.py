@@ -1,0 +1,132 @@
+"""Options that commands share: the scene, the camera as operated, and what is asked of the planner."""
+
+import argparse
+import dataclasses
+import re
+
+from gpusim.domain.errors import BadData, OutOfRange
+
+TIME = re.compile(r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+)(?:/(\d+\.?\d*))? ?(s|ms|us)?", re.ASCII)
+PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
+DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
+
+
+def scene_of(arguments):
+    """The scene that a command was given. Raises BadFile, BadData, OutOfRange, UnknownName."""
+    from gpusim.io.scenes import open_scene
+
+    bands = dict(_named(text) for text in arguments.band)
+    return open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
+                      bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
+
+
+def operated(camera, arguments):
+    """The camera with what the command line says of it: exposure, speed, lens and display scaling."""
+    optics, sensor, processor = camera.optics, camera.sensor, camera.processor
+    if arguments.exposure is not None:
+        sensor = dataclasses.replace(sensor, exposure_time=None if arguments.exposure == "auto" else arguments.exposure)
+    if arguments.iso is not None:
+        from gpusim.planner.speed import gain_for_speed
+
+        # the speed that was asked for: automatic exposure raises no gain on its own
+        sensor = dataclasses.replace(sensor, analog_gain=gain_for_speed(sensor, arguments.iso),
+                                     auto_exposure=dataclasses.replace(sensor.auto_exposure, most_gain=1.0))
+    lens = {"f_number": arguments.f_number, "object_distance": arguments.focus}
+    lens = {key: value for key, value in lens.items() if value is not None}
+    if lens and optics.psf is not None:
+        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
+                      "neither, or a camera without [optics] psf")
+    if arguments.scaling is not None:
+        processor = dataclasses.replace(processor, scaling=arguments.scaling)
+    return dataclasses.replace(camera, optics=dataclasses.replace(optics, **lens), sensor=sensor, processor=processor)
+
+
+def _named(text):
+    name, _, value = text.rpartition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise OutOfRange("--band", text, "NAME=wavelength in nm, such as --band red=630") from None
+
+
+def size(text: str) -> tuple[int, int]:
+    """Columns and rows of `COLSxROWS` on a command line."""
+    try:
+        cols, rows = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted COLSxROWS, such as 1920x1080") from None
+    return cols, rows
+
+
+def whole(low, high):
+    """Reader of a whole number from `low` to `high` on a command line."""
+    def read(text):
+        try:
+            value = int(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}: wanted a whole number, {low} .. {high}")
+        return value
+    return read
+
+
+def _time(text):
+    from gpusim.domain.exposure import LONGEST
+
+    if text == "auto":
+        return text
+    match = TIME.fullmatch(text)
+    time = float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]] if match and float(match[2] or 1) else 0.0
+    if not 0 < time <= LONGEST:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0 and up "
+                                         f"to {LONGEST:g} s, or auto")
+    return time
+
+
+def _positive(wanted, most):
+    def read(text):
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not 0 < value <= most:
+            raise argparse.ArgumentTypeError(f"{text!r}: wanted {wanted}")
+        return value
+    return read
+
+
+def _add_operation(command):
+    """Options by which a camera is operated."""
+    command.add_argument("--exposure", type=_time, metavar="TIME", help="1/60, 0.01 [s], 10ms, 500us, or auto: "
+                          "metered (default: the camera's)")
+    command.add_argument("--iso", type=_positive("a number above 0", float("inf")), metavar="N", help="speed by "
+                          "saturation, by the analog gain; from the base speed on (default: the camera's gain)")
+    command.add_argument("--f-number", type=_positive("0.1 .. 1000", 1e3), metavar="N", help="such as 2.8 (default: "
+                          "the camera's)")
+    command.add_argument("--focus", type=_positive("metres above 0, or inf", float("inf")), metavar="METRES",
+                          help="distance of the plane in focus, or inf (default: the camera's)")
+    command.add_argument("--scaling", choices=("exposure", "normalised"), help="of the picture: by exposure longer is "
+                          "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
+
+
+def add_asked(command):
+    """Add the options of a scene before a camera."""
+    command.add_argument("scene", metavar="SCENE", help="a chart (colorchecker, slanted-edge, ramp, flat, points, "
+                          "deadleaves, sweep) or a file: spectral .exr, .npz, photograph .png or .jpg")
+    command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
+    command.add_argument("--device", default="auto", help=DEVICE_HELP)
+    command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
+    command.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
+    command.add_argument("--strict", action="store_true", help="refuse a tolerance that is not predicted to be met")
+    command.add_argument("--fft-free", action="store_true", help="blur without Fourier transforms")
+    command.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
+    command.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
+                          "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
+                          "scene's, 1)")
+    command.add_argument("--light", help="any CIE illuminant, daylight-<T>K or blackbody-<T>K (default: the scene's)")
+    command.add_argument("--luminance", type=float, metavar="CD_M2", help="of white in the scene's light")
+    command.add_argument("--border", choices=("zero", "edge", "reflect"), help="the world outside the frame")
+    _add_operation(command)
+    command.add_argument("--band", action="append", default=[], metavar="NAME=NM",
+                          help="wavelength of an .exr channel that is not named by it; may be repeated")
