@@ -13,6 +13,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.facts import Facts
+from gpusim.planner.models.noise import without_negligible
 from gpusim.planner.plan import Plan
 from gpusim.program.batch import Batch
 from gpusim.program.imaging import Imaging
@@ -57,7 +58,8 @@ class Simulator:
     def _connect(self, camera, kept, tables):
         """Kept: what depends on the camera. Tables: of its lens, patterns of its chip, for frames of the same kind."""
         self.camera, self.kept, self.tables = checked_camera(camera), kept, tables
-        self.readout = kept("readout", camera.sensor, lambda: Readout(camera.sensor, self.device, tables))
+        sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
+        self.readout = kept("readout", sensor, lambda: Readout(sensor, self.device, tables))
         self.imaging = Imaging(camera, self.device, tables)
         return self
 

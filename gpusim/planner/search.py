@@ -101,9 +101,9 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
 
 
 def front(found: list[Option], tolerance: Tolerance) -> list[Option]:
-    """The options of which none is both cheaper and more accurate, from the cheapest on."""
+    """The options of which none is both cheaper and nearly as accurate, from the cheapest on."""
     best: list[Option] = []
     for option in sorted(found, key=lambda option: option.cost):
-        if not best or option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
+        if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
             best.append(option)
     return best

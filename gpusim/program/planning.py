@@ -51,4 +51,4 @@ def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
         raise DoesNotFit(what, needed, device.memory, device.name)
     if largest > device.largest_array:
         raise DoesNotFit(f"one array of {what}", largest, device.largest_array, device.name)
-    return replace(made, bytes_needed=needed)
+    return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])

@@ -1,0 +1,37 @@
+"""Noise: fixed patterns that are far below the photons' noise, where a tolerance says how far that has to be."""
+
+from dataclasses import replace
+from math import sqrt
+
+from gpusim.domain.account import Bound
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.tolerance import Tolerance
+
+FAR = 10.0  # times below the tolerance
+QUANTILE, MAXIMUM = 3.3, 5.0  # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
+RESPONSES = {"prnu": "PRNU", "row_prnu": "PRNU of rows", "column_prnu": "PRNU of columns"}
+OFFSETS = {"dsnu": "DSNU", "row_dsnu": "DSNU of rows", "column_dsnu": "DSNU of columns"}
+
+
+def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sensor, list[str]]:
+    """The sensor without fixed patterns that are FAR below a tolerance, and what these are; itself without one.
+
+    It follows from sensor and tolerance alone, so that digital numbers are the same on every device. A response is
+    judged at saturation, an offset in the dark, where each counts most; an offset is no relative error of a frame
+    whose light is not known, so that a tolerance of that alone leaves all offsets in.
+    """
+    if tolerance is None:
+        return sensor, []
+    found = {name: Bound(value, *(value * sqrt(sensor.saturation) * times for times in (QUANTILE, MAXIMUM)))
+             for name in RESPONSES if (value := getattr(sensor.noise, name))}
+    if tolerance.rms is None:
+        dark = max(sensor.read_sigma, 1.0)
+        found |= {name: Bound(0.0, *(value / dark * times for times in (QUANTILE, MAXIMUM)))
+                  for name in OFFSETS if (value := getattr(sensor.noise, name))}
+    left = {name: bound for name, bound in found.items() if FAR * bound.ratio(tolerance) <= 1}
+    if not left:
+        return sensor, []
+    named = RESPONSES | OFFSETS
+    words = [f"{named[name]}: at most {bound.nearest(tolerance)[2]:.2g}{bound.nearest(tolerance)[4]}"
+             for name, bound in left.items()]
+    return replace(sensor, noise=replace(sensor.noise, **dict.fromkeys(left, 0.0))), words
