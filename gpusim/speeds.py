@@ -13,6 +13,7 @@ from gpusim.kernels.stage import public_function, stage_module
 from gpusim.planner.work import of_bench, of_plan
 
 SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
+REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
 SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
 
 
@@ -29,7 +30,8 @@ class Speeds:
     def of(self, stage: str) -> tuple[float, float]:
         """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
         if stage not in self.known:
-            (low, small), (high, large) = ((of_bench(stage, *size), self._time(stage, *size)) for size in SIZES)
+            sizes = REFERENCE_SIZES if self.device.kind == "numpy" else SIZES
+            (low, small), (high, large) = ((of_bench(stage, *size), self._time(stage, *size)) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
             if self.cache is not None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import sqrt
+from typing import Any
 
 from gpusim.domain.account import Bound
 from gpusim.domain.sensor import Sensor
@@ -34,4 +35,5 @@ def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sen
     named = RESPONSES | OFFSETS
     words = [f"{named[name]}: at most {bound.nearest(tolerance)[2]:.2g}{bound.nearest(tolerance)[4]}"
              for name, bound in left.items()]
-    return replace(sensor, noise=replace(sensor.noise, **dict.fromkeys(left, 0.0))), words
+    none: dict[str, Any] = dict.fromkeys(left, 0.0)
+    return replace(sensor, noise=replace(sensor.noise, **none)), words
