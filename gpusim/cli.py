@@ -134,13 +134,40 @@ def _verify(arguments):
     return 1 if failed or not rows else 0
 
 
+def _pareto(arguments):
+    from gpusim.backends import open_device
+    from gpusim.data.cameras import open_camera
+    from gpusim.io.atomic import atomic_path, check_output
+    from gpusim.io.scenes import open_scene
+    from gpusim.pareto import draw, pareto
+
+    for path in (arguments.json, arguments.out):
+        check_output(path)
+    camera, scene = open_camera(arguments.camera), open_scene(arguments.pareto, size=arguments.size or (480, 320))
+    device, rows = open_device("auto" if arguments.device == "all" else arguments.device), []
+    heads = ("ms", "frame ms", "true rms", "predicted", "99.9 %", "largest")
+    print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
+    for row in pareto(camera, scene, device):
+        rows.append(row)
+        ms, error = (f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}" for key in ("predicted_ms", "predicted"))
+        print(f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error} {row['p999_sigma']:9.2g} "
+              f"{row['max_sigma']:9.2g}  {row['words']}")
+    _write_json(arguments.json, rows)
+    if arguments.out:
+        with atomic_path(arguments.out) as temporary:
+            draw(rows, temporary, f"{scene.name} {scene.shape[1]}x{scene.shape[0]} by {camera.name} on {device.name}")
+    return 0
+
+
 def _bench(arguments):
+    if arguments.pareto:
+        return _pareto(arguments)
     from gpusim.bench import bench
     from gpusim.data.charts import checked_size
     from gpusim.io.atomic import check_output
 
     check_output(arguments.json)
-    size = checked_size(arguments.size)[::-1]
+    size = checked_size(arguments.size or (1920, 1080))[::-1]
     rows: list[dict] = []
     devices, broken = _devices(arguments.device)
     stages = _stages(arguments.stage)
@@ -255,7 +282,10 @@ def _parser():
         command.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
         command.add_argument("--json", metavar="FILE", help="write the rows")
         command.set_defaults(run=run)
-    bench.add_argument("--size", type=size, default=(1920, 1080), metavar="COLSxROWS", help="default: 1920x1080")
+    bench.add_argument("--size", type=size, metavar="COLSxROWS", help="default: 1920x1080, of --pareto 480x320")
+    bench.add_argument("--pareto", metavar="SCENE", help="a scene by all plans instead: time against true error")
+    bench.add_argument("--camera", default="phone", help="of --pareto (default: phone)")
+    bench.add_argument("-o", "--out", metavar="OUT.png", help="figure of --pareto, which needs matplotlib")
 
     devices = commands.add_parser("devices", help="what there is, how fast it copies, and why a device is unusable")
     devices.add_argument("--json", action="store_true", help="as JSON")
