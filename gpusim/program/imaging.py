@@ -8,7 +8,6 @@ from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Picture
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import type_of
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
@@ -19,16 +18,12 @@ from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.collect import collect
-from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.kernels.spectral.materials import materials
-from gpusim.kernels.spectral.widen import widen
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
+from gpusim.program.reading import WHOLE, planes, store
 from gpusim.program.tables import LensTables
-
-WHOLE = (slice(None), slice(None))
 
 
 class Imaging:
@@ -61,27 +56,14 @@ class Imaging:
 
     def stored(self, content, window=WHOLE):
         """A content's samples on the device, in a window if they come from the host: entries, and which each has."""
-        device, is_encoded = self.device, isinstance(content, Picture)
-
-        def cut(name):
-            array = getattr(content, name)
-            array = array[window if is_encoded else (..., *window)] if isinstance(array, np.ndarray) else array
-            return device.samples(array, content.stored_type(name))
-
-        if is_encoded:
-            curve = self._kept("curve", content.curve, lambda: device.array(content.curve))
-            return decode(cut("codes"), curve, device=device), None
-        *labels, planes = [cut(name) for name in content.samples]
-        return planes, labels[0] if labels else None
+        curve = None
+        if isinstance(content, Picture):
+            curve = self._kept("curve", content.curve, lambda: self.device.array(content.curve))
+        return store(self.device, content, window, curve)
 
     def planes(self, table, stored):
         """Planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
-        entries, ids = stored
-        if ids is not None:
-            return materials(ids, entries, self.device.array(table), device=self.device)
-        if table is None:
-            return widen(entries, device=self.device) if type_of(entries) == np.float16 else entries
-        return integrate(entries, self.device.array(table), device=self.device)
+        return planes(self.device, table, stored)
 
     def rates(self, plan: Plan, planes=None):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.

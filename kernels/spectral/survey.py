@@ -19,7 +19,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import type_of
-from gpusim.kernels.spectral.widen import widen
+from gpusim.kernels.spectral.take import take
 from gpusim.kernels.stage import Case, stage
 
 GROUPS = "spectral.survey_groups"
@@ -68,8 +68,9 @@ def survey(device, content, table, first, ids=None):
 def _widened(device, content, first):
     """The rows of pairs as content of their own, float32, its upper rows, and how many rows there are."""
     upper = np.clip(device.numpy(first), 0, content.shape[1] - 1)
-    content = widen(device.array(content, np.float16), np.stack([upper, upper + 1], axis=1).ravel(), device=device)
-    return content, np.arange(0, 2 * len(upper), 2), 2 * len(upper)
+    rows = np.stack([upper, upper + 1], axis=1).reshape(1, -1)
+    content = take(device.array(content, np.float16), rows, device=device)
+    return device.reshape(content, content.shape[1:]), np.arange(0, rows.size, 2), rows.size
 
 
 def _by_groups(device, content, table, first, ids, out, entries, rows, cols):

@@ -1,0 +1,87 @@
+"""A content's samples on a device: how they come there, planes of them, and what of them the host reads."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.content import Basis, Content, Materials, Picture
+from gpusim.domain.foreign import type_of
+from gpusim.kernels.spectral.decode import decode
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.kernels.spectral.materials import materials
+from gpusim.kernels.spectral.take import take
+
+WHOLE = (slice(None), slice(None))
+
+
+def store(device: Device, content: Content, window=WHOLE, curve=None):
+    """A content's samples on a device, in a window if they come from the host: entries, and which each has, or None.
+
+    curve: the device's array of a picture's curve, where there is one.
+    """
+    def cut(name):
+        array, index = getattr(content, name), window if isinstance(content, Picture) else (..., *window)
+        return device.samples(array[index] if isinstance(array, np.ndarray) else array, content.stored_type(name))
+
+    if isinstance(content, Picture):
+        return decode(cut("codes"), device.array(content.curve) if curve is None else curve, device=device), None
+    *labels, entries = [cut(name) for name in content.samples]
+    return entries, labels[0] if labels else None
+
+
+def planes(device: Device, table, stored):
+    """Planes of stored samples by a table (planes, entries); the entries themselves, float32, if None."""
+    entries, ids = stored
+    if ids is not None:
+        return materials(ids, entries, device.array(table), device=device)
+    if table is None:
+        is_half = type_of(entries) == np.float16
+        return device.reshape(take(entries, device=device), entries.shape) if is_half else entries
+    return integrate(entries, device.array(table), device=device)
+
+
+class Reading:
+    """What the host reads of a content. Of one on a device these are windows and sums alone, which are made there.
+
+    content: its arrays of samples may be the device's or another library's. stored: what `store` gave of the whole of
+    it, which is then read; by default that is done here, unless all samples are in host memory: NumPy reads those.
+    """
+
+    def __init__(self, device: Device, content: Content, stored=None):
+        self.device, self.content = device, content
+        if stored is None and not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples):
+            stored = store(device, content)
+        self._stored = stored
+
+    def taken(self, rows, cols) -> Content:
+        """Windows of the samples, one above the other, in host memory: content of shape (n h, w).
+
+        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture it is a Basis;
+        samples of float16 that come from a device are float32 of the same values.
+        """
+        content = self.content
+        if self._stored is None:
+            height, width = content.shape
+            rows, cols = np.clip(rows, 0, height - 1), np.clip(np.repeat(cols, rows.shape[1], axis=0), 0, width - 1)
+            return content.take(rows.reshape(-1, 1), cols)
+        entries, ids = self._stored
+        light = self._windows(entries, rows, cols, np.float32)
+        if isinstance(content, Materials):
+            return replace(content, ids=self._windows(ids, rows, cols, np.uint16), shading=light)
+        if isinstance(content, Picture):
+            return Basis(content.wavelengths, light, content.basis)
+        return content.with_planes(light)
+
+    def _windows(self, samples, rows, cols, dtype):
+        """Windows of stored samples as a new array of the host, shape (..., n h, w)."""
+        found = np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype)
+        count, *entries, height, width = found.shape
+        return np.moveaxis(found, 0, -3).reshape(*entries, count * height, width)
+
+    def brightness(self, total) -> np.ndarray:
+        """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols), a new array."""
+        if self._stored is None:
+            return self.content.brightness(total)
+        table = np.asarray(total @ self.content.entry_spectra.T)[None]
+        return np.array(self.device.numpy(planes(self.device, table, self._stored))[0], np.float32)

@@ -1,0 +1,18 @@
+"""out_ke(i, j) = content_e(row_ki, col_kj), float64, or numbers as they are."""
+
+import numpy as np
+
+
+def take(content, rows=None, cols=None):
+    """Content (entries, rows, cols) or (rows, cols), rows (n, h), columns (n, w) -> (n, entries, h, w) or (n, h, w)."""
+    from gpusim.kernels.spectral.take import checked
+
+    checked(content, rows, cols)
+    content = np.asarray(content)
+    content = content if content.dtype == np.uint16 else content.astype(np.float64)
+    height, width = content.shape[-2:]
+    given = rows if rows is not None else cols
+    count = 1 if given is None else len(given)
+    rows = np.tile(np.arange(height), (count, 1)) if rows is None else np.clip(rows, 0, height - 1)
+    cols = np.tile(np.arange(width), (count, 1)) if cols is None else np.clip(cols, 0, width - 1)
+    return np.moveaxis(content[..., rows[:, :, None], cols[:, None, :]], -3, 0)

@@ -1,0 +1,131 @@
+"""What the host reads of a content that is on a device is what it reads of the same in its own memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import ALL_KINDS, KINDS
+from foreign_arrays import Tensor
+
+import gpusim as gs
+from gpusim.backends import open_device
+from gpusim.backends.tape import Tape, noted
+from gpusim.domain.content import Basis, Cube, Materials, Picture
+from gpusim.domain.foreign import type_of
+from gpusim.program import reading
+from gpusim.program.imaging import Imaging
+from gpusim.program.kept import Kept
+from gpusim.program.reading import Reading, store
+
+WAVELENGTHS = np.linspace(400, 700, 31)
+SHAPE = (37, 53)
+RANDOM = np.random.default_rng(9)
+LIGHT = (10.0 ** RANDOM.uniform(-3, 4, SHAPE)).astype(np.float32)
+SPECTRA = RANDOM.uniform(0, 1, (300, 31))
+FORMS = {
+    "cube": Cube(WAVELENGTHS, (RANDOM.random((31, *SHAPE)) * LIGHT).astype(np.float32)),
+    "half": Cube(WAVELENGTHS, (RANDOM.random((31, *SHAPE)) * LIGHT).astype(np.float16)),
+    "basis": Basis(WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float32) * LIGHT, SPECTRA[:6]),
+    "half basis": Basis(WAVELENGTHS, RANDOM.normal(0, 1, (6, *SHAPE)).astype(np.float16), SPECTRA[:6]),
+    "materials": Materials(WAVELENGTHS, RANDOM.integers(0, 300, SHAPE).astype(np.uint16), LIGHT, SPECTRA),
+    "materials of bytes": Materials(WAVELENGTHS, RANDOM.integers(0, 256, SHAPE).astype(np.uint8), LIGHT, SPECTRA),
+    "picture": Picture(WAVELENGTHS, RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8), SPECTRA[:3],
+                       np.linspace(0, 1, 256) ** 2.2),
+    "grey": Picture(WAVELENGTHS, RANDOM.integers(0, 2**16, SHAPE, np.uint16), SPECTRA[:1], np.linspace(0, 1, 2**16)),
+}
+ROWS = np.array([[0, 1, 2, 36], [-5, 36, 40, 3], [7, 7, 8, 9]], np.int32)
+COLS = np.array([[0, 52, 3], [60, -1, 51], [5, 5, 4]], np.int32)
+
+
+@pytest.fixture(params=FORMS)
+def content(request):
+    return FORMS[request.param]
+
+
+def there(device, content):
+    """The content with its samples as the device's arrays."""
+    types = iter([content.stored_type(name) for name in content.samples])
+    return content.with_samples(lambda array: device.array(array, next(types)))
+
+
+def readings(name, content):
+    """All ways to a content that is on a device."""
+    device = open_device(name)
+    yield Reading(device, there(device, content))
+    yield Reading(device, content.with_samples(Tensor))
+    yield Reading(device, content, store(device, content))
+    yield Reading(device, content, Imaging(gs.open_camera("phone"), device, Kept(device)).stored(content))
+
+
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_windows_are_the_samples_themselves(name, content):
+    seen = content.on_host()
+    rows, cols = np.clip(ROWS, 0, SHAPE[0] - 1), np.clip(COLS, 0, SHAPE[1] - 1)
+    of_host = Reading(open_device(name), content).taken(ROWS, COLS)
+    for found in (of_host, *(each.taken(ROWS, COLS) for each in readings(name, content))):
+        assert type(found) is type(seen) and found.is_like(seen) and found.shape == (12, 3)
+        for key in seen.samples:
+            values, samples = getattr(found, key), getattr(seen, key)
+            assert type(values) is np.ndarray and values.dtype.kind == samples.dtype.kind
+            for window in range(3):
+                for line, row in enumerate(rows[window]):
+                    wanted = samples[..., row, :][..., cols[window]]
+                    np.testing.assert_array_equal(values[..., 4 * window + line, :], wanted)
+
+
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_no_windows_are_no_samples(name, content):
+    for found in (each.taken(ROWS[:0], COLS[:0]) for each in (Reading(open_device(name), content),
+                                                              *readings(name, content))):
+        assert found.shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_brightness_is_that_of_the_host(name, content):
+    """Both sum n products of float32; one product where there is a material.
+
+    Each errs by at most n + 1 units of 2^-24 of the sum of their magnitudes (Higham 2002, 3.1), one of them for the
+    table's own rounding; second orders are below 1 %.
+    """
+    total = np.random.default_rng(4).normal(1, 1, 31)
+    wanted, seen = content.brightness(total), content.on_host()
+    table = np.abs(seen.entry_spectra @ total)
+    terms = 1 if seen.labels is not None else len(table)
+    magnitude = (table[seen.labels] * seen.planes if seen.labels is not None
+                 else np.tensordot(table, np.abs(seen.planes.astype(float)), 1))
+    for each in readings(name, content):
+        found = each.brightness(total)
+        assert type(found) is np.ndarray and found.dtype == np.float32 and found.shape == SHAPE
+        assert (np.abs(found.astype(float) - wanted) <= 1.01 * 2 * (terms + 1) * 2.0**-24 * magnitude).all()
+    np.testing.assert_array_equal(Reading(open_device(name), content).brightness(total), wanted)
+
+
+@pytest.mark.parametrize("name", ALL_KINDS)
+@pytest.mark.parametrize("read", [lambda shown: shown.taken(ROWS[:1], COLS[:1]).values,
+                                  lambda shown: shown.brightness(np.ones(31))], ids=["windows", "brightness"])
+def test_what_was_read_stays(name, read):
+    """It is no view of the device's memory, to which a step that is made again writes."""
+    device, cube, tape = open_device(name), FORMS["cube"], Tape()
+    brighter = replace(cube, values=2 * cube.values)
+    with noted(tape):
+        found = read(Reading(device, cube, store(device, cube)))
+    before = found.copy()
+    with noted(tape):
+        again = read(Reading(device, brighter, store(device, brighter)))
+    np.testing.assert_array_equal(again, 2 * before)
+    np.testing.assert_array_equal(found, before)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_whole_is_not_read(name, monkeypatch):
+    """Of a content on a device the host gets windows or one plane; of one in its own memory the device gets nothing."""
+    device, content = open_device(name), FORMS["cube"]
+    shown, read = Reading(device, there(device, content)), []
+    original = device.numpy
+    monkeypatch.setattr(device, "numpy", lambda array: read.append(array.shape) or original(array))
+    shown.taken(ROWS, COLS)
+    shown.brightness(np.ones(31))
+    assert sorted(map(tuple, read)) == [(1, *SHAPE), (3, 31, 4, 3)]
+    monkeypatch.setattr(reading, "take", None)
+    monkeypatch.setattr(reading, "store", None)
+    assert type_of(Reading(device, FORMS["half"]).taken(ROWS, COLS).values) == np.float16
