@@ -52,7 +52,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
     speeds, seen = Speeds(device), set()
     for tolerance in TOLERANCES:
-        simulator = Simulator(camera, device=device, tolerance=tolerance and Tolerance(rms=tolerance))
+        simulator = Simulator(camera, device=device, tolerance=None if tolerance is None else Tolerance(rms=tolerance))
         ms, mean, plan = _frames(simulator, scene, seconds)
         words = "; ".join(text for stage, text in plan.models.items() if stage in ("optics.mosaic", "optics.blur"))
         words = f"{words or 'no blur'}, {plan.period[1]} x {plan.period[0]}"
@@ -63,7 +63,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
         yield row(name, "plan", ms, mean, tolerance=tolerance, words=words, predicted=plan.account.total.rms,
                   met=plan.verdict and plan.verdict.met, predicted_ms=sum(frame_ms(simulator, plan, speeds).values()))
     for name, made in _naive(camera, scene, seconds).items():
-        times = []
+        times: list[float] = []
         while len(times) < 3:
             start = time.perf_counter()
             mean = made()

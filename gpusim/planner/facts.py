@@ -2,21 +2,57 @@
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.planner.depth import flattened
-from gpusim.planner.fusion import Spectra
+from gpusim.planner.fusion import Spectra, row_pairs
 from gpusim.planner.sampling import Moments, moments
 
 
-class Facts:
-    """Facts of a content and, where it is known, of the distance of its samples [m]."""
+class Samples(Protocol):
+    """What is read of a content, which may be on a device: see `gpusim.program.reading.Reading`."""
 
-    def __init__(self, content: Content, depth: np.ndarray | None = None):
-        self.content, self.depth = content, depth
+    def taken(self, rows, cols) -> Content:
+        """Windows of the samples, one above the other, in host memory; rows (n, h) and cols (n, w), int."""
+
+    def brightness(self, total) -> np.ndarray:
+        """Sums over wavelength by `total` (L,): float32 (rows, cols), a new array."""
+
+    def whole(self) -> Content:
+        """All samples, in host memory."""
+
+
+class OnHost:
+    """Samples of a content in host memory."""
+
+    def __init__(self, content: Content):
+        self._content = content
+
+    def taken(self, rows, cols) -> Content:
+        """See `Samples`."""
+        return self._content.take(rows.reshape(-1, 1), np.repeat(cols, rows.shape[1], axis=0))
+
+    def brightness(self, total) -> np.ndarray:
+        """See `Samples`."""
+        return self._content.brightness(total)
+
+    def whole(self) -> Content:
+        """See `Samples`."""
+        return self._content
+
+
+class Facts:
+    """Facts of a content and, where it is known, of the distance of its samples [m].
+
+    samples: how the content's are read, by default in host memory.
+    """
+
+    def __init__(self, content: Content, depth: np.ndarray | None = None, samples: Samples | None = None):
+        self.content, self.depth, self.samples = content, depth, samples or OnHost(content)
         self._brightness: tuple[bytes, np.ndarray] | None = None
         self._moments: tuple[bytes, Moments] | None = None
 
@@ -31,20 +67,28 @@ class Facts:
         return cls(*flattened(scene))
 
     @cached_property
+    def pairs(self) -> Content:
+        """Evenly spaced pairs of neighbouring rows, one above the other, in host memory."""
+        rows, cols = self.content.shape
+        first = row_pairs(rows, cols)
+        both = np.stack([first, np.minimum(first + 1, rows - 1)], axis=1)
+        return self.samples.taken(both, np.broadcast_to(np.arange(cols), (len(first), cols)))
+
+    @cached_property
     def spectra(self) -> Spectra:
         """Second moments of the spectra and of their differences between neighbours."""
-        return Spectra.of(self.content)
+        return Spectra.of_pairs(self.pairs)
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), a copy."""
         key, found = total.tobytes(), self._brightness
         if found is None or found[0] != key:
-            found = self._brightness = key, self.content.brightness(total)
+            found = self._brightness = key, self.samples.brightness(total)
         return found[1].copy()
 
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
         key, found = weights.tobytes(), self._moments
         if found is None or found[0] != key:
-            found = self._moments = key, moments(self.content, weights)
+            found = self._moments = key, moments(self.pairs, weights)
         return found[1]

@@ -14,11 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.content import Content
+from gpusim.domain.content import Content, Cube
 
 RIDGE = 0.02  # of the mean variance of a wavelength, white: spectra outside the prior are not amplified
 SMALLEST_TAIL = 1e-6  # predicted relative error below which float32 transforms are the limit: no rank beyond it
 SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
+MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
 ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of what 40 find
 
@@ -106,14 +107,52 @@ class Spectra:
 
     @classmethod
     def of(cls, content: Content) -> "Spectra":
-        """Moments of the content, from evenly spaced pairs of rows, about SAMPLES pixels in all."""
-        rows, cols = content.shape
-        first = row_pairs(rows, cols)
-        upper, lower = (content.bands_at(np.minimum(y, rows - 1)) for y in (first, first + 1))
-        across, down = np.diff(upper, axis=2), lower - upper
-        values = _moment(upper)
-        differences = _moment(down)
-        return cls(values, differences + (_moment(across) if across.size else 0))
+        """Moments of a content in host memory, from evenly spaced pairs of rows, about SAMPLES pixels in all."""
+        first = row_pairs(*content.shape)
+        both = np.stack([first, np.minimum(first + 1, content.shape[0] - 1)], axis=1)
+        return cls.of_pairs(content.take(both.reshape(-1, 1), np.arange(content.shape[1])))
+
+    @classmethod
+    def of_pairs(cls, pairs: Content) -> "Spectra":
+        """Moments of pairs of neighbouring rows, one above the other.
+
+        Those of the entries, between which the spectra are.
+        """
+        entries = pairs.entry_spectra
+        if pairs.labels is not None:  # of the materials that are there
+            used, ids = np.unique(pairs.labels, return_inverse=True)
+            if len(used) > MOST_ENTRIES:
+                pairs, entries = Cube(pairs.wavelengths, pairs.bands_at(slice(None))), np.eye(len(pairs.wavelengths))
+            else:
+                labelled = ids.reshape(pairs.shape), np.asarray(pairs.planes, np.float64)
+                return cls(*_labelled_moments(*labelled, entries[used]))
+        planes = pairs.planes.astype(np.float64)
+        upper, lower = planes[:, ::2], planes[:, 1::2]
+        across, values = np.diff(upper, axis=2), _moment(upper)
+        differences = _moment(lower - upper) + (_moment(across) if across.size else 0)
+        if pairs.is_spectral:
+            return cls(values, differences)
+        return cls(entries.T @ values @ entries, entries.T @ differences @ entries)
+
+
+def _labelled_moments(ids, shading, entries):
+    """The moments of samples of one entry each; ids, shading: of pairs of rows, one above the other."""
+    def products(a, b):
+        """Sums of products of two entries at two places."""
+        (ida, sa), (idb, sb) = a, b
+        count = len(entries)
+        sums = np.bincount((ida * count + idb).ravel(), (sa * sb).ravel(), count**2)
+        return sums.reshape(count, count) / ida.size
+
+    def differences(a, b):
+        both = products(a, b)
+        return products(a, a) + products(b, b) - both - both.T
+
+    upper, lower = (ids[::2], shading[::2]), (ids[1::2], shading[1::2])
+    total = differences(upper, lower)
+    if ids.shape[1] > 1:
+        total = total + differences(*(tuple(part[:, cut] for part in upper) for cut in (np.s_[:-1], np.s_[1:])))
+    return entries.T @ products(upper, upper) @ entries, entries.T @ total @ entries
 
 
 def row_pairs(rows: int, cols: int) -> np.ndarray:

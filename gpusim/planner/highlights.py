@@ -44,13 +44,13 @@ class Highlights:
 
 def unsplit_error(brightness) -> float:
     """Local error, over the median, beside highlights that stay in the planes; 0 without highlights."""
-    median = _level(brightness)
+    median = median_of(brightness)
     if not 0 < THRESHOLD * median < brightness.max():
         return 0.0
     return TRANSFORM_ERROR * float(np.sqrt(np.square(brightness, dtype=np.float64).mean())) / median
 
 
-def _level(brightness):
+def median_of(brightness) -> float:
     """The median; that of what is lit where more than MOST pixels are and the rest is dark."""
     step = max(1, int(np.sqrt(brightness.size / 2**16)))
     median = float(np.median(brightness[::step, ::step]))
@@ -65,7 +65,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     brightness: of the content, see `Content.brightness`; without the highlights on return. q: largest wavelength times
     f-number over pitch. margin: of the scene around the frame [pixel]. border: "zero", "edge" or "reflect".
     """
-    median = _level(brightness)
+    median = median_of(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
     rows, cols = np.unravel_index(bright, brightness.shape)
     single = np.ones(len(bright), bool)

@@ -8,8 +8,6 @@ import numpy as np
 from gpusim.domain.errors import BadData
 from gpusim.planner.facts import Facts
 
-ROWS = 32  # of the scene, evenly spaced, whose channels are looked at
-
 
 @dataclass(frozen=True)
 class Operation:
@@ -34,15 +32,15 @@ class Operation:
         weights: of the channels, (C, L). brightness: sums over them, (rows, cols). level: its root mean square as the
         lens shows it. peak: of points split off it. q: of the lens, at the mean wavelength.
         """
-        sensor, content = camera.sensor, facts.content
-        rows = np.unique(np.linspace(0, content.shape[0] - 1, ROWS).astype(int))
-        rates = content.mixed(weights @ content.entry_spectra.T, rows)
+        sensor, pairs = camera.sensor, facts.pairs
+        rates = pairs.mixed(weights @ pairs.entry_spectra.T)
         if not sensor.stacked:
             cfa = sensor.cfa_indices
-            cols = np.arange(content.shape[1])
-            channel = cfa[np.arange(len(rows))[:, None] % len(cfa), cols % cfa.shape[1]]  # the period's rows in turn
+            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
+            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
             rates = np.take_along_axis(rates, channel[None], 0)
-        looked, light = brightness[rows], float(np.sqrt(np.mean(np.square(brightness[rows], dtype=np.float64))))
+        looked = pairs.brightness(weights.sum(axis=0))
+        light = float(np.sqrt(np.mean(np.square(looked, dtype=np.float64))))
         size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time
         if seconds is None:

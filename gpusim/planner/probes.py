@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 
 from gpusim.domain.account import Bound
-from gpusim.domain.content import Content
+from gpusim.planner.facts import Facts
 from gpusim.planner.fusion import SAMPLED_PERIOD
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
@@ -125,9 +125,9 @@ class Probes:
     noise: float
 
     @classmethod
-    def of(cls, content: Content, windows: Windows, border: str, **known) -> "Probes":
-        """Those of a content; known: the rest."""
-        bands = _bands(content, windows, border)
+    def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
+        """Those of a scene; known: the rest."""
+        bands = _bands(facts, windows, border)
         means = bands[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
         spectra = scipy.fft.rfft2((bands - means[..., None, None]).astype(np.float32), workers=-1)
         return cls(windows, spectra, means, **known)
@@ -218,13 +218,12 @@ class Probes:
                 yield k + 1, self.bound(left)
 
 
-def _bands(content, windows, border):
+def _bands(facts, windows, border):
     """Spectra of the windows' samples, (n, L, SIDE, SIDE)."""
-    rows, cols = content.shape
+    rows, cols = facts.content.shape
     y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    taken = content.take(y[:, :, None], x[:, None, :])  # samples (..., n, SIDE, SIDE)
-    taken = taken.with_samples(lambda array: array.reshape(*array.shape[:-3], -1, SIDE))
-    bands = taken.bands_at(slice(None)).reshape(len(content.wavelengths), -1, SIDE, SIDE).swapaxes(0, 1)
+    bands = facts.samples.taken(y, x).bands_at(slice(None))
+    bands = bands.reshape(len(bands), -1, SIDE, SIDE).swapaxes(0, 1)
     if border == "zero":
         inside = ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
         bands = bands * inside

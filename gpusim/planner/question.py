@@ -49,7 +49,7 @@ class Question:
     def of(cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked) -> "Question":
         """What `plan` was asked. Raises BadData, OutOfRange."""
         weights = electrons_per_content(scene, camera)
-        check_light(scene, facts.content, camera)
+        check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
         made._check_displacement()
         made._check_q()

@@ -13,7 +13,6 @@ from math import ceil
 import numpy as np
 
 from gpusim.domain.content import Content
-from gpusim.planner.fusion import SAMPLES
 from gpusim.planner.tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
@@ -152,26 +151,22 @@ class Moments:
     changes: np.ndarray
 
 
-def moments(content: Content, weights) -> Moments:
-    """Moments from evenly spaced pairs of rows. weights: of the channels, shape (C, L)."""
-    total, width = content.shape
-    count = max(8, SAMPLES // width)
-    rows = np.unique(np.linspace(0, max(total - 2, 0), min(count, total)).astype(int))
-    rates = weights @ content.entry_spectra.T  # of a unit of each entry, (C, entries)
-    below = np.minimum(rows + 1, total - 1)
-    upper, lower = content.mixed(rates, rows), content.mixed(rates, below)
+def moments(pairs: Content, weights) -> Moments:
+    """Moments of pairs of neighbouring rows, one above the other. weights: of the channels, shape (C, L)."""
+    seen = pairs.mixed(weights @ pairs.entry_spectra.T)
+    upper, lower = seen[:, ::2], seen[:, 1::2]
     down, across = (lower - upper) ** 2, np.diff(upper, axis=2) ** 2
     jump_down, jump_across = np.zeros(down.shape[1:], bool), np.zeros(across.shape[1:], bool)
-    if content.labels is not None:
-        jump_down = content.labels[rows] != content.labels[below]
-        jump_across = np.diff(content.labels[rows].astype(int), axis=1) != 0
+    if pairs.labels is not None:
+        jump_down = pairs.labels[::2] != pairs.labels[1::2]
+        jump_across = np.diff(pairs.labels[::2].astype(int), axis=1) != 0
 
     def mean(squares, chosen):
         return (squares * chosen).sum(axis=(1, 2)) / max(chosen.size, 1)
 
     jumps = mean(down, jump_down) + mean(across, jump_across)
     changes = mean(down, ~jump_down) + mean(across, ~jump_across)
-    used = content.used(rows) @ content.entry_spectra
+    used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
     return Moments(np.maximum(used, 0) / upper[0].size, (upper**2).mean(axis=(1, 2)), jumps, changes)
 
 

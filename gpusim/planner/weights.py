@@ -1,5 +1,6 @@
 """Quadrature of spectral integrals: weights that turn a sum over a scene's wavelengths into the integral."""
 
+from collections.abc import Callable
 from math import prod
 
 import numpy as np
@@ -70,9 +71,12 @@ def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:
     return weights
 
 
-def check_light(scene: Scene, content: Content, camera: Camera):
-    """Refuse light on the sensor at wavelengths where its curves are not known. Raises OutOfRange."""
-    nodes, qe, light, through = content.wavelengths, camera.sensor.qe, scene.illuminant, camera.optics.transmission
+def check_light(scene: Scene, content: Callable[[], Content], camera: Camera):
+    """Refuse light on the sensor at wavelengths where its curves are not known. Raises OutOfRange.
+
+    content: gives the scene's, in host memory, where it is looked at.
+    """
+    nodes, qe, light, through = scene.wavelengths, camera.sensor.qe, scene.illuminant, camera.optics.transmission
     known = qe.wavelengths[0] - 1e-6, qe.wavelengths[-1] + 1e-6  # [nm]
     if nodes[0] >= known[0] and nodes[-1] <= known[1]:
         return
@@ -80,7 +84,7 @@ def check_light(scene: Scene, content: Content, camera: Camera):
     grid = np.unique(np.concatenate([nodes, *(factor.wavelengths for factor in factors)]))
     grid = grid[(grid >= max(nodes[0], *(factor.wavelengths[0] for factor in factors)))
                 & (grid <= min(nodes[-1], *(factor.wavelengths[-1] for factor in factors)))]
-    lit = np.prod([np.interp(grid, nodes, content.lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
+    lit = np.prod([np.interp(grid, nodes, content().lit), *(factor.at(grid) for factor in factors)], axis=0) > 0
     lit = lit[1:] | lit[:-1]  # of the intervals: a ramp is light
     if not lit.any():
         return

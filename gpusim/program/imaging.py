@@ -51,7 +51,7 @@ class Imaging:
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
         margin = plan.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin or None) if plan.mix is None and plan.distortion is None else slice(None)
+        inside = slice(margin, -margin) if margin and plan.mix is None and plan.distortion is None else slice(None)
         return inside, inside
 
     def stored(self, content, window=WHOLE):

@@ -6,8 +6,6 @@ from functools import partial
 from math import prod
 from typing import Any
 
-import numpy as np
-
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -23,6 +21,7 @@ from gpusim.program.kept import Kept, One, same
 from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
 from gpusim.program.planning import planned_by
+from gpusim.program.reading import WHOLE, Reading
 from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
@@ -127,13 +126,14 @@ class Program:
         return plan
 
     def _facts(self):
-        """Facts of the scene, whose samples the host reads for them."""
-        def read(array):
-            values = np.asarray(self.simulator.device.numpy(array))
-            return values.astype(np.float32) if values.dtype == np.float16 else values  # NumPy is slow with halves
-
-        seen = self.scene.content.with_samples(read)
-        return Facts.of(dataclasses.replace(self.scene, content=seen))
+        """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
+        device, scene = self.simulator.device, self.scene
+        if scene.depth is not None or device.kind == "numpy" or scene.content.nbytes > device.largest_array:
+            reading = Reading(device, scene.content)
+            return Facts.of(dataclasses.replace(scene, content=reading.whole()))
+        content = scene.content
+        stored = self.before.kept("content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content))
+        return Facts(content, None, Reading(device, content, stored))
 
     def _content(self, plan):
         """What is in front of the camera, less what the plan has taken from it."""

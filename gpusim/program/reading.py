@@ -79,6 +79,14 @@ class Reading:
         count, *entries, height, width = found.shape
         return np.moveaxis(found, 0, -3).reshape(*entries, count * height, width)
 
+    def whole(self) -> Content:
+        """All samples, in host memory. Raises BadData."""
+        def read(array):
+            values = np.asarray(self.device.numpy(array))
+            return values.astype(np.float32) if values.dtype == np.float16 else values  # NumPy is slow with halves
+
+        return self.content.with_samples(read).on_host()
+
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols), a new array."""
         if self._stored is None:

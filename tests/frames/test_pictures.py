@@ -47,7 +47,7 @@ def test_the_frame_is_that_of_the_decoded_planes(device, tolerance, kind, option
     found, wanted = (simulator(shown, seed=2) for shown in (scene, decoded(scene)))
     for name in ("mean", "raw", "linear", "rgb"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), name)
-    assert found.exposure_time == wanted.exposure_time and found.report.predicted == wanted.report.predicted
+    assert found.exposure_time == wanted.exposure_time and found.report.account == wanted.report.account
     assert found.raw.std() > 10
 
 
@@ -115,10 +115,10 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
         plan, found = program.plan, program.update(scene=other).frame()
         assert program.plan is plan and plan.watch is not None
         assert any("by the plan of picture" in note for note in found.report.notes)
-        errors.append((own.report.predicted["relative rms"], found.report.predicted["relative rms"]))
+        errors.append((own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms))
     assert errors[0] == errors[1] and errors[0][0] != errors[0][1]
     fresh = simulator.plan(second)  # of its own planes, which are other ones
-    assert fresh.predicted["relative rms"] == pytest.approx(errors[0][1], rel=0.5)
+    assert fresh.account.bounds["planes"].rms == pytest.approx(errors[0][1], rel=0.5)
 
 
 def test_one_plan_serves_pictures_of_one_kind():

@@ -22,6 +22,7 @@ from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.lens import PupilLens
 from gpusim.optics.psf import psf_tables
+from gpusim.planner.facts import Facts
 from gpusim.planner.geometry import vignetting_gain
 from gpusim.planner.sampling import moments, sampling_error
 from gpusim.simulator import Simulator
@@ -291,7 +292,7 @@ def test_highlights_stay_in_the_planes_where_their_kernels_are_not_square():
         scene = chart("points", size=(24, 20), samples_per_pixel=ratio, wavelengths=BANDS, count=3, highest=1e5)
         plan = Simulator(camera(sensor=sensor), device="numpy").plan(scene)
         assert (plan.highlights is not None) == split
-        assert ("local error beside highlights" in plan.predicted) != split
+        assert ("local error beside highlights" in plan.beside) != split
 
 
 def test_the_sampling_error_knows_rectangles_and_places():
@@ -306,7 +307,8 @@ def test_the_sampling_error_knows_rectangles_and_places():
             return airy(q, aperture, rows, cols, device="numpy")
 
     def error(aperture, displacement):
-        return sampling_error(moments(content, weights), weights, q, share, 1.0, aperture, None, Ideal(), displacement)
+        return sampling_error(moments(Facts(content).pairs, weights), weights, q, share, 1.0, aperture, None, Ideal(),
+                              displacement)
 
     assert error((0.9, 0.4), (0.0, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.0)), rel=1e-9)
     assert error((0.9, 0.4), (0.3, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.3)), rel=1e-9)

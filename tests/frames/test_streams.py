@@ -117,12 +117,13 @@ def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     assert (own.scene["name"], report.scene["name"]) == ("leaves 0", "leaves 1")
     assert not any("leaves 0" in note for note in own.notes)
     assert any("by the plan of leaves 0" in note for note in report.notes)
-    assert report.predicted["relative rms"] == pytest.approx(own.predicted["relative rms"], rel=0.05)  # 1.1 as bright
+    assert report.account.bounds["planes"].rms == pytest.approx(own.account.bounds["planes"].rms, rel=0.05)  # 1.1 as
+    # bright
     odd = of_one_band(first, 24)
     frame = program.update(scene=odd).frame()
     fresh = simulator.program(odd, 0.01).frame()
     np.testing.assert_array_equal(frame.mean, fresh.mean)
-    assert frame.report.predicted == fresh.report.predicted
+    assert frame.report.account == fresh.report.account
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

@@ -137,7 +137,7 @@ def test_highlights_go_on_as_the_border_says(device, border):
     plan = simulator.plan(scene)
     own = truth(scene, plan)
     mean = simulator.device.numpy(simulator.expose(scene, 1.0).mean)
-    print(f"{border}: {relative(mean - own, own):.2g}, predicted {plan.predicted['border']:.2g}")
+    print(f"{border}: {relative(mean - own, own):.2g}, predicted {plan.account.bounds['border'].rms:.2g}")
     # of three, one is no part of an edge; or each with its images within 84 pixels along both axes
     assert len(plan.highlights.places) == (1 if border == "edge" else 33)
     assert 1 / 2.5 < plan.account.bounds["border"].rms / relative(mean - own, own) < 2.5
@@ -187,5 +187,5 @@ def test_an_exact_frame_says_what_it_leaves_out():
     camera, scene = edge_chart("edge")
     report = gs.Simulator(camera, device="numpy")(scene, verify=True).report
     line, = (line for line in report.left_out if "outside the frame" in line)
-    assert "64 pixels" in line and f"{report.predicted['border']:.2g}" in line
+    assert "64 pixels" in line and f"{report.account.bounds['border'].rms:.2g}" in line
     assert 1 / 2.5 < report.prediction_ratio < 2.5 and report.error.rms > 1e-4

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.planner.border import blurred_level, rule_of, spread_afar, tail_of
 from gpusim.planner.facts import Facts
-from gpusim.planner.highlights import Highlights, split_highlights, unsplit_error
+from gpusim.planner.highlights import THRESHOLD, Highlights, median_of, split_highlights, unsplit_error
 from gpusim.planner.notes import Notes
 from gpusim.planner.operation import Operation
 from gpusim.planner.question import Question
@@ -62,7 +62,9 @@ def split(question: Question) -> tuple[Question, Picture]:
     peak = float(brightness.max(initial=0))
     if not _can_be_split(question):
         return question, Picture(brightness, level, peak, None)
-    content, highlights = split_highlights(facts.content, brightness, question.q.max(), scene.margin,
+    if not brightness.max(initial=0) > THRESHOLD * median_of(brightness):
+        return question, Picture(brightness, level, peak, None)
+    content, highlights = split_highlights(facts.samples.whole(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
         question = replace(question, facts=Facts(content))

@@ -158,7 +158,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
     """Windows of the scene in which errors are computed."""
-    scene, content = question.scene, question.content
+    scene = question.scene
     flat = _flat(question) if question.is_blurred else np.ones(len(question.q))
     tables = np.ones((1, SIDE, SIDE // 2 + 1))
     if question.is_blurred:
@@ -168,7 +168,8 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
             tables = tables[:, np.minimum(np.arange(SIDE), SIDE - np.arange(SIDE))]
     count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
     windows = Windows.of(picture.brightness, scene.margin, scene.border, count)
-    return Probes.of(content, windows, scene.border, tables=np.broadcast_to(tables, (len(flat), *tables.shape[1:])),
+    tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
+    return Probes.of(question.facts, windows, scene.border, tables=tables,
                      weights=question.weights, even=question.weights / flat, share=question.share,
                      level=picture.level, seconds=operation.seconds, noise=operation.noise)
 
