@@ -10,7 +10,7 @@ from importlib import import_module
 from gpusim.backends import Device
 from gpusim.hard.case import CASES
 
-SUBJECTS = ("highlights", "spectrum", "diffraction", "field")
+SUBJECTS = ("highlights", "spectrum", "diffraction", "field", "photons", "sensor", "planner")
 
 
 def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]:

@@ -8,8 +8,7 @@ from gpusim.backends import Device
 
 
 class Found(NamedTuple):
-    """got: the figure found. limit: the largest that is allowed. words: what the figure is, and what was found beside.
-    """
+    """got: the figure found. limit: the largest allowed. words: what the figure is, and what was found beside."""
 
     got: float
     limit: float

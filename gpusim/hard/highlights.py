@@ -84,8 +84,8 @@ def far_sides(place, shape):
     return (rows, slice(None)), (slice(None), cols)
 
 
-@case(3, "highlight at the corner", "at the corner and 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), "
-      "the declared border obeyed")
+@case(3, "highlight at the corner", "at the corner and 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), the "
+      "declared border obeyed")
 def at_the_corner(device) -> Found:
     """What a highlight adds, against its pattern in space; opposite is 1e5 times its pattern less than the dark.
 

@@ -1,4 +1,4 @@
-"""Seidel lenses with kernels by the transform of their pupil: the truth about blur that varies over the field, float64."""
+"""Seidel lenses with kernels by the transform of their pupil: the truth about a varying blur, float64."""
 
 import functools
 
