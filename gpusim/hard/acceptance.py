@@ -79,7 +79,7 @@ def _table(values, mean):
 
 
 def correlation(first, second, mean) -> float:
-    """P-value of independence of two samples (k - mean) / sqrt(mean); of few photons, of pixels where both have some."""
+    """P-value of independence of two samples (k - mean) / sqrt(mean); of few photons, of where both have some."""
     from scipy import stats
 
     n = first.size

@@ -36,7 +36,7 @@ def blurred(plane, blur, device, border="reflect", **more):
 
 @case(13, "lateral and axial colour", "3 pixels at the corner, and axial: <= 1e-3, or refused, or the report says NOT "
       "met; never silent")
-def colour(device) -> Found:
+def colour(device):
     """Truth at some pixels: light at s lands at s (1 + e), spread by the defocused pattern of its wavelength."""
     shape = (240, 320)  # a smaller one would be sheared by more than a pixel within one kernel
     camera = open_camera("mono")
@@ -46,12 +46,12 @@ def colour(device) -> Found:
         camera.optics, f_number=8.0, lateral_color=lateral, defocus=axial, relative_illumination="none"))
     values = np.stack([textured(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
-    simulator = Simulator(camera, device=device, tolerance=1e-3)
+    simulator = Simulator(camera, device=device, tolerance="1e-3")
     try:
         program = simulator.program(scene, 1.0)
         frame = program.frame()
-    except OutOfRange as error:
-        return Found(0.0, 1e-3, f"refused: {error}")
+    except OutOfRange as refusal:
+        return Found(0.0, 1e-3, f"refused: {refusal}")
     places = [(70, 80), (80, 241), (121, 166), (168, 66), (176, 248), (110, 130)]
     exact = np.array([_coloured(values, camera, program.plan.weights[0], place) for place in places])
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
@@ -107,7 +107,7 @@ def coma_by_field_height(shape, size):
 
 
 @case(14, "coma in four quadrants", "corner points: centroids within 0.02 pixel, mirror images to 1e-5 (float32)")
-def quadrants(device) -> Found:
+def quadrants(device):
     """Spreads by field height, turned; of the largest value of a point's image."""
     shape, size = (121, 161), 25
     blur, exact = coma_by_field_height(shape, size), seidel_lens(shape, MILD, size)
@@ -146,7 +146,7 @@ def of_mild_lens(method, shape=(180, 320)):
 
 
 @case(15, "patch seams", "flat field and 1 % ramp: second differences <= 1e-4, for every way that the planner takes")
-def seams(device) -> Found:
+def seams(device):
     return worst(*(Found(seam((180, 320), of_mild_lens(method), device), 1e-4, method)
                    for method in ("quadratic", "eigen")))
 
@@ -167,7 +167,7 @@ def _distance(confusion):
 
 @case(16, "depth edge", "circle of confusion 8 pixels, both orders: with layers <= 1e-3, without them reported as >= "
       "1e-2")
-def depth_edge(device) -> Found:
+def depth_edge(device):
     """One line of light. One side is in focus, where the sum of blurred layers is exact.
 
     Patterns are those of a defocused pupil in space; beyond 60 pixels of 8 is 1e-4 of a point's light, taken as even.
@@ -222,7 +222,7 @@ def _pattern(q, waves, reach):
 
 @case(30, "cos^4 and distortion", "100 degrees: energy per solid angle to 1e-3, no holes, more than 2 samples a pixel "
       "reported")
-def wide_angle(device) -> Found:
+def wide_angle(device):
     """An even sphere through a lens of equal areas: energy pi f^2 sin^2(theta) within theta, ring by ring.
 
     A pinhole has the irradiance cos^4; the distortion brings it to the radius 2 f sin(theta / 2), and conserves energy.

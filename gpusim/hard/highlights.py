@@ -11,6 +11,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.hard import truth
 from gpusim.hard.case import Found, case, worst
 from gpusim.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural
+from gpusim.planner.weights import electrons_per_content
 from gpusim.simulator import Simulator
 
 
@@ -28,21 +29,19 @@ def q_of(wavelengths) -> np.ndarray:
     return np.asarray(wavelengths) * 1e-9 * 2.8 / 1.4e-6
 
 
-def weights_of(scene) -> np.ndarray:
-    """Electrons a second of content 1 in CAMERA; the quadrature is judged by cases 5 to 7."""
-    return Simulator(CAMERA, device="numpy").plan(scene).weights
-
-
 def by_hand(values, scene) -> np.ndarray:
-    """Electrons of an even world with single pixels of other light, each one's pattern integrated over the pixels."""
+    """Electrons of an even world with single pixels of other light, each one's pattern integrated over the pixels.
+
+    The weights of wavelengths, here as in other cases, are judged by cases 5 to 7.
+    """
     values = values.astype(float)
-    base, weights = np.median(values, axis=(1, 2)), weights_of(scene)
+    base, weights = np.median(values, axis=(1, 2)), electrons_per_content(scene, CAMERA)
     return (truth.even(base, weights, values.shape[1:], CFA)
             + truth.of_points(values, base, q_of(scene.wavelengths), weights, CFA))
 
 
 @case(1, "highlight in the dark", "1e6 and 1e9 on 1e-3, f/2.8, float32: local error <= 1e-3 everywhere, none negative")
-def in_the_dark(device) -> Found:
+def in_the_dark(device):
     found = []
     for level in (1e6, 1e9):
         values = with_points(np.full((60, 90), 1e-3), [(22, 31)], [level], [None])
@@ -57,7 +56,7 @@ def in_the_dark(device) -> Found:
 
 
 @case(2, "coloured highlights", "20 narrow-band points of 1e4 .. 1e6, natural background: <= 0.1 sigma at 2000 e-")
-def coloured(device) -> Found:
+def coloured(device):
     scene = replace(natural((160, 112), surfaces="munsell"), border="zero")
     random = np.random.default_rng(3)
     places = np.stack([random.integers(0, 112, 20), random.integers(0, 160, 20)], axis=1)
@@ -66,7 +65,7 @@ def coloured(device) -> Found:
     for (y, x), level, line in zip(places, np.geomspace(1e4, 1e6, 20), random.integers(5, 26, 20), strict=True):
         values[line, y, x] += level * median
     bright = replace(scene, content=replace(scene.content, values=values.astype(np.float32)))
-    weights, q = weights_of(scene), q_of(WAVELENGTHS)
+    weights, q = electrons_per_content(scene, CAMERA), q_of(WAVELENGTHS)
     exact = truth.mosaic_of(truth.spread(bright.content.values.astype(float), q, weights), CFA)
     background = truth.mosaic_of(truth.spread(scene.content.values.astype(float), q, weights), CFA)
     scale = 2000 / np.median(background)
@@ -84,9 +83,9 @@ def far_sides(place, shape):
     return (rows, slice(None)), (slice(None), cols)
 
 
-@case(3, "highlight at the corner", "at the corner and 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), the "
-      "declared border obeyed")
-def at_the_corner(device) -> Found:
+@case(3, "highlight at the corner", "at the corner, 1 pixel outside: no wrap (opposite side <= 1e-6 of local truth), "
+      "the declared border obeyed")
+def at_the_corner(device):
     """What a highlight adds, against its pattern in space; opposite is 1e5 times its pattern less than the dark.
 
     The border is obeyed where a highlight adds what it and its mirror images do, and a dark world nothing: within 1e-3,
@@ -105,7 +104,7 @@ def at_the_corner(device) -> Found:
         before, after = mean_of(simulator, dark), mean_of(simulator, lit)
         mirrored = border == "reflect"
         images = [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}] if mirrored else [place]
-        weights, more = weights_of(lit), np.float64(np.float32(100.0)) - np.float32(1e-3)
+        weights, more = electrons_per_content(lit, CAMERA), np.float64(np.float32(100.0)) - np.float32(1e-3)
         adds = sum(np.multiply.outer(weights[:, band] * more, truth.point(float(one), np.arange(shape[0]) - y,
                                                                          np.arange(shape[1]) - x))
                    for band, one in enumerate(q) for y, x in images)
@@ -123,7 +122,7 @@ def at_the_corner(device) -> Found:
 
 
 @case(24, "thirteen decades", "planes of 1e-7 .. 1e6: no infinity, dark pixels <= 1e-3; float16 too, or refused")
-def thirteen_decades(device) -> Found:
+def thirteen_decades(device):
     values = with_points(np.full((40, 60), 1e-7), [(11, 13), (30, 44)], [1e6, 1e6], [None, 20])
     scene = Scene(Cube(WAVELENGTHS, values), unit_light(WAVELENGTHS))
     found = [_dark("float32, 1e-7 .. 1e6", values, scene, device)]

@@ -67,7 +67,7 @@ def poisson(device, photon, mean, size, statistics=suite) -> Found:
 
 
 @case(19, "Poisson numbers", "means 0 .. 2^24 + 1, n = 2^22: all p-values >= 1e-6; one photon at 1e-8 within 1 %")
-def poisson_numbers(device) -> Found:
+def poisson_numbers(device):
     """The suite at 2^22 with the default sampler, at 2^18 with the exact one.
 
     P at 1e-8 is that of the reference's map, whose bits the device has.
@@ -95,7 +95,7 @@ def with_impossible(mean):
 
 @case(20, "impossible means", "NaN, +-infinity, -1e-6, -1: as documented (NaN, full well, 0, 0, 0; DN 0, white), "
       "neighbours unchanged")
-def impossible_means(device) -> Found:
+def impossible_means(device):
     wrong = 0
     for photon in kinds(device):
         inputs = everything(4, 12, photon) | {"electrons": False}
@@ -112,7 +112,7 @@ def impossible_means(device) -> Found:
 
 
 @cache
-def steps(photon) -> float:
+def steps(photon):
     """Largest step of mean [sigma] and dispersion on a ramp of 41 means across the sampler's switch point."""
     switch, errors = MAPS[photon][2], []
     for mean in f32(switch + np.linspace(-0.5, 0.5, 41)).astype(np.float64):  # the switch itself is one of them
@@ -123,7 +123,7 @@ def steps(photon) -> float:
 
 
 @case(21, "ramp across switch points", "no step > 3e-4 sigma in mean and dispersion")
-def ramp(device) -> Found:
+def ramp(device):
     """By the samplers' own maps, whose bits the device has: what counts is exact and no sample."""
     found = []
     for photon in kinds(device):
@@ -134,7 +134,7 @@ def ramp(device) -> Found:
 
 
 @case(22, "seeds", "the same bits for any tile, device, order and batch; frames and channels |rho| < 5 / sqrt(n)")
-def seeds(device) -> Found:
+def seeds(device):
     wrong = 0
     for photon in kinds(device):
         inputs = everything(130, 301, photon)
@@ -201,7 +201,7 @@ def relaxed(device):
 
 
 @case(23, "fast mathematics", "flush to zero and fast math on and off: the suite passes on both")
-def fast_mathematics(device) -> Found:
+def fast_mathematics(device):
     """exp(-m) is denormal from 88 on and 0 from 104; means of 1e-40 and 1e-37 are, or are near, denormal numbers."""
     def of(one, words):
         found = []

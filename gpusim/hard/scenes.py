@@ -8,7 +8,7 @@ from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.camera import Camera
-from gpusim.domain.content import Basis, Content, Cube
+from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
 from gpusim.simulator import Simulator
 
@@ -26,22 +26,14 @@ CAMERA = at_f_number("phone", 2.8)  # 1.4 um pixels: the camera of the accuracy 
 CFA = CAMERA.sensor.cfa_indices
 
 
-def spectra(content: Content) -> np.ndarray:
-    """Content as a cube (L, rows, cols), float64."""
-    if isinstance(content, Cube):
-        return content.values.astype(float)
-    if isinstance(content, Basis):
-        return np.tensordot(content.basis.T, content.coefficients.astype(float), 1)
-    return np.asarray(content.spectra, float).T[:, content.ids] * content.shading
-
-
 def as_cube(scene: Scene) -> Scene:
     """The same scene with a spectrum at every sample."""
     content = scene.content
-    return replace(scene, content=Cube(content.wavelengths, np.ascontiguousarray(spectra(content), np.float32)))
+    values = np.ascontiguousarray(content.bands_at(slice(None)), np.float32)
+    return replace(scene, content=Cube(content.wavelengths, values))
 
 
-def natural(size, seed=1, surfaces="objects", light="D65") -> Scene:
+def natural(size, seed=1, surfaces="objects", light="D65"):
     """Dead leaves of (cols, rows) samples under a slow shading, as a cube."""
     scene = chart("deadleaves", size=size, seed=seed, surfaces=surfaces, light=light)
     y, x = np.mgrid[: size[1], : size[0]] / max(size)

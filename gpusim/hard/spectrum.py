@@ -14,6 +14,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.hard import truth
 from gpusim.hard.case import Found, case, worst
 from gpusim.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, mean_of, natural
+from gpusim.planner.weights import electrons_per_content
 from gpusim.simulator import Simulator
 
 PATCHES = reflectances("colorchecker")  # 24, at every 5 nm
@@ -71,20 +72,20 @@ def _largest(light, count, device):
 
 
 @case(5, "fluorescent lamp", "lines of 1 nm: 31 samples <= 0.5 % at most, 16 <= 2 %, 24 patches, all channels")
-def fluorescent(device) -> Found:
+def fluorescent(device):
     light = lines(FLUORESCENT, 1.0, 0.01)
     return worst(Found(_largest(light, 31, device), 5e-3, "31 samples"),
                  Found(_largest(light, 16, device), 2e-2, "16 samples"))
 
 
 @case(6, "lasers between samples", "light of 2 nm lines at 447.3, 523.7, 638.1 nm: <= 0.5 %, 24 patches, all channels")
-def lasers(device) -> Found:
+def lasers(device):
     alone = ", ".join(f"{one[0]} nm {_largest(lines([one], 2.0), 31, device):.1e}" for one in LASERS)
     return Found(_largest(lines(LASERS, 2.0), 31, device), 5e-3, f"31 samples (one laser alone: {alone})")
 
 
 @case(7, "low-pressure sodium", "589.0 and 589.6 nm: R/G within 1 % of the truth, 24 patches")
-def sodium(device) -> Found:
+def sodium(device):
     light = lines(SODIUM, 0.02)
     found, exact = counted(light, 31, device), integrals(light)
     return Found(np.abs((found[0] / found[1]) / (exact[0] / exact[1]) - 1).max(), 1e-2, "R/G, 31 samples")
@@ -96,7 +97,7 @@ SWEEP = np.arange(400.0, 701.0)
 
 @case(8, "monochromatic sweep", "points of 400 .. 700 nm by 1 nm: guaranteed mode <= 1e-3; without it the report says "
       "where spectra are outside of what is likely")
-def sweep(device) -> Found:
+def sweep(device):
     """Four points of each line, one in each phase of the mosaic; what the camera sees less than 1e-3 of is below noise.
 
     They stay below the threshold of highlights, on an even ground of 550 nm. The error is that of a line's four cells,
@@ -119,7 +120,7 @@ def _sweep():
     """The scene, which lines are seen, where their points are, the mosaic, and what each line's points give alone."""
     ids, places = _points()
     content = Materials(SWEEP, ids, np.ones(ids.shape, np.float32), np.eye(302, 301))
-    weights = Simulator(CAMERA, device="numpy").plan(Scene(content, LIGHT)).weights
+    weights = electrons_per_content(Scene(content, LIGHT), CAMERA)
     strength = np.sqrt(np.bincount(CFA.ravel()) / CFA.size @ weights**2)
     seen = strength > 1e-3 * strength.max()
     levels = np.where(seen, 1 / np.maximum(strength, 1e-300), 0)
@@ -175,7 +176,7 @@ def _outside_of_the_likely(device):
     np.put_along_axis(values, random.integers(0, 31, (1, 64, 96)), 1.0, axis=0)
     lit = Scene(Cube(WAVELENGTHS, values), LIGHT, "zero")
     simulator = Simulator(CAMERA, device=device, tolerance=Tolerance(rms=1e-3))
-    weights = Simulator(CAMERA, device="numpy").plan(lit).weights
+    weights = electrons_per_content(lit, CAMERA)
     exact = truth.mosaic_of(truth.spread(values.astype(float), WAVELENGTHS * 1e-9 * 2.8 / 1.4e-6, weights), CFA)
     program = simulator.program(replace(natural((96, 64)), border="zero"), 1.0)
     program.frame()
