@@ -172,7 +172,7 @@ RELAXED = "-cl-denorms-are-zero -cl-fast-relaxed-math"
 def relaxed(device):
     """The device anew, whose programs are built without denormal numbers and with what a compiler thinks is fast.
 
-    None for a device whose compiler has no such choice: NumPy, and Warp's for a processor.
+    None for NumPy, and for Warp, whose kernels of noise state the options that they are compiled with.
     """
     if device.kind == "opencl":
         before = os.environ.get("PYOPENCL_BUILD_OPTIONS")
@@ -184,18 +184,6 @@ def relaxed(device):
                 del os.environ["PYOPENCL_BUILD_OPTIONS"]
             else:
                 os.environ["PYOPENCL_BUILD_OPTIONS"] = before
-    elif device.kind == "warp" and device.is_gpu:
-        import warp as wp
-
-        module = wp.get_module("gpusim.kernels.sensor.noise_warp")
-        before = module.options.get("fast_math", False)
-        try:
-            module.options["fast_math"] = True
-            module.mark_modified()
-            yield type(device)(device.name.partition(":")[2], device.name)
-        finally:
-            module.options["fast_math"] = before
-            module.mark_modified()
     else:
         yield None
 
@@ -216,7 +204,7 @@ def fast_mathematics(device):
 
     found = of(device, "as built")
     with relaxed(device) as other:
-        words = "" if other else "; this compiler has no such choice"
+        words = "" if other else "; no other build, the kernels state their compiler's options"
         found += of(other, "fast math") if other else []
     most = max(found, key=lambda one: one.got / one.limit if one.limit else (np.inf if one.got else 0))
     return most._replace(words=most.words + words)
