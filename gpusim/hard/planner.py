@@ -70,7 +70,7 @@ def grey_edge():
     return scene, made, values, truth.mosaic_of(truth.repeated(values, made.q, made.weights, made.period), CFA)
 
 
-@case(18, "rank above the numerical rank", "three spectra, ranks to the last: the error never rises (beyond float32's "
+@case(18, "rank above the numerical rank", "a grey edge, ranks to the last: the error never rises (beyond float32's "
       "1e-6), planes of condition < 1e10")
 def numerical_rank(device):
     """Priors of rank 1, the scene's own, and of 31 with moments down to 1e-8."""
