@@ -123,6 +123,8 @@ def _verify(arguments):
     from gpusim.verify import verify
 
     check_output(arguments.json)
+    if arguments.hard:
+        return _verify_hard(arguments)
     devices, broken = _devices(arguments.device)
     rows = broken + [row for device in devices for row in verify(device, _stages(arguments.stage))]
     for row in rows:
@@ -157,6 +159,30 @@ def _pareto(arguments):
         with atomic_path(arguments.out) as temporary:
             draw(rows, temporary, f"{scene.name} {scene.shape[1]}x{scene.shape[0]} by {camera.name} on {device.name}")
     return 0
+
+
+def _verify_hard(arguments):
+    """The hard cases, each printed when it is known."""
+    from gpusim.hard import hard
+
+    devices, broken = _devices(arguments.device)
+    rows: list[dict] = [{"number": 0, "name": "(open)", "device": row["device"], "asked": "the device opens",
+                         "got": float("inf"), "limit": 0.0, "ok": False, "why": row["why"]} for row in broken]
+    for row in rows:
+        print(_hard_line(row))
+    for device in devices:
+        for row in hard(device):
+            rows.append(row)
+            print(_hard_line(row), flush=True)
+    failed = sum(not row["ok"] for row in rows)
+    print(f"{len(rows) - failed} passed, {failed} failed")
+    _write_json(arguments.json, rows)
+    return 1 if failed or not rows else 0
+
+
+def _hard_line(row):
+    return (f"{'ok  ' if row['ok'] else 'FAIL'} {row['device']:10s} {row['number']:2d} {row['name']}: {row['asked']} | "
+            f"got {row['got']:.2g} of {row['limit']:.2g}: {row['why']}")
 
 
 def _bench(arguments):
@@ -279,7 +305,11 @@ def _parser():
     bench = commands.add_parser("bench", help="speed of every stage against its error")
     for command, run in ((verify, _verify), (bench, _bench)):
         command.add_argument("--device", default="all", help="as for simulate, or all (default: all)")
-        command.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
+        which = command.add_mutually_exclusive_group()
+        which.add_argument("--stage", action="append", metavar="AREA.NAME", help="may be repeated (default: all)")
+        if command is verify:
+            which.add_argument("--hard", action="store_true", help="in place of stages the 30 hard cases: what was "
+                               "asked of each, and what was got")
         command.add_argument("--json", metavar="FILE", help="write the rows")
         command.set_defaults(run=run)
     bench.add_argument("--size", type=size, metavar="COLSxROWS", help="default: 1920x1080, of --pareto 480x320")

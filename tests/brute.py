@@ -57,8 +57,3 @@ class Brute:
         for k, weights in enumerate(w_in.T):
             total += np.tensordot(transfers[:, k], self.tables, 1) * np.tensordot(weights, transformed, 1)
         return self.mosaic(self.crop(total), cfa)
-
-
-def relative(result, truth):
-    """Root mean square error over the root mean square."""
-    return np.sqrt(np.mean((result - truth) ** 2) / np.mean(truth**2))

@@ -104,6 +104,8 @@ def levels_of(kernels, **options):
 def kernel_of(table, period, reach):
     """The kernel, (2 reach + 1) a side, of an even transfer table (period[0] // 2 + 1, period[1] // 2 + 1).
 
+    Light beyond the reach is put on the kernel's rim, evenly, so that the sum is the table's at 0.
+
     Raises OutOfRange when the period is too short for the reach.
     """
     if 2 * reach + 1 > min(period):
@@ -111,7 +113,9 @@ def kernel_of(table, period, reach):
     fold = np.minimum(np.arange(period[0]), period[0] - np.arange(period[0]))
     whole = np.fft.irfft2(np.asarray(table, np.float64)[fold], period)
     at = np.arange(-reach, reach + 1)
-    return whole[np.ix_(at, at)]
+    kernel, rim = whole[np.ix_(at, at)], np.maximum.outer(abs(at), abs(at)) == reach
+    kernel[rim] += (whole.sum() - kernel.sum()) / rim.sum()
+    return kernel
 
 
 def checked(kernel, radius, factor, rank):

@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from brute import relative
 from devices import ALL_KINDS, DEVICES, KINDS
 from scipy.signal import fftconvolve
 
@@ -18,6 +17,7 @@ from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import pillbox_kernel
 from gpusim.domain.scene import Layer, Scene, unit_light
+from gpusim.hard.truth import relative
 from gpusim.io.npz import read_npz, write_npz
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from brute import Brute, relative
+from brute import Brute
 from devices import KINDS
-from test_fusion import CAMERA, WAVELENGTHS, library, made_for, natural, response_of
+from test_fusion import made_for
 
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
@@ -12,6 +12,9 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
+from gpusim.hard.planner import library, response_of
+from gpusim.hard.scenes import CAMERA, WAVELENGTHS, natural
+from gpusim.hard.truth import relative
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from brute import Brute, relative, spectra
+from brute import Brute, spectra
 from devices import ALL_KINDS, DEVICES, KINDS
 
 from gpusim.cli import main
@@ -16,6 +16,7 @@ from gpusim.domain.content import Cube, Materials
 from gpusim.domain.errors import GpusimError, OutOfRange
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene
+from gpusim.hard.truth import relative
 from gpusim.io.npz import write_npz
 from gpusim.io.scenes import open_scene
 from gpusim.kernels.optics.airy import airy

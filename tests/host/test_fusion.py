@@ -1,61 +1,24 @@
 """The joint spectral-optical operator against float64 brute force per band, and what it predicts of its own error."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from brute import Brute, relative, spectra
+from brute import Brute, spectra
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
-from gpusim.kernels.optics.airy import airy
-from gpusim.planner.fusion import SAMPLED_PERIOD, Response, Spectra, channel_operator, joint_operator
-from gpusim.planner.models.spectral import PRIOR
+from gpusim.hard.planner import library, response_of
+from gpusim.hard.scenes import CAMERA, WAVELENGTHS, at_f_number, natural
+from gpusim.hard.truth import relative
+from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.plan import plan
-
-WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
-
-
-def at_f_number(name, f_number):
-    camera = open_camera(name)
-    return replace(camera, optics=replace(camera.optics, f_number=f_number, relative_illumination="none"))
-
-
-CAMERA = at_f_number("phone", 2.8)  # 1.4 um pixels: the camera of the accuracy figures
 
 
 def made_for(scene, camera=CAMERA, **options):
     return plan(scene, camera, **options)
-
-
-def response_of(plan):
-    sensor = plan.camera.sensor
-    tables = airy(plan.q, np.sqrt(sensor.fill_factor), SAMPLED_PERIOD, SAMPLED_PERIOD, device="numpy")
-    return Response.of(plan.weights, tables, sensor.cfa_indices)
-
-
-def library(wavelengths=WAVELENGTHS):
-    likely = np.vstack([reflectances(name).at(wavelengths, outside=None) for name in PRIOR])
-    return likely.T @ likely / len(likely)
-
-
-def as_cube(scene):
-    content = scene.content
-    values = np.ascontiguousarray(spectra(content), np.float32)
-    return replace(scene, content=Cube(content.wavelengths, values))
-
-
-def natural(size, seed=1, surfaces="objects", light="D65"):
-    """Dead leaves under a slow shading, as a cube."""
-    scene = chart("deadleaves", size=size, seed=seed, surfaces=surfaces, light=light)
-    y, x = np.mgrid[: size[1], : size[0]] / max(size)
-    shading = (0.6 + 0.4 * np.sin(5 * x + 3 * y)).astype(np.float32)
-    return as_cube(replace(scene, content=replace(scene.content, shading=shading)))
 
 
 def prediction_scenes():

@@ -38,6 +38,8 @@ ALLOWED = {
                   "gpusim.measure", "gpusim.planner", "gpusim.program", "gpusim.simulator", "gpusim.frame"},
     "gpusim.captures": {"gpusim.domain", "gpusim.kernels", "gpusim.measure", "gpusim.planner", "gpusim.developer",
                         "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
+    "gpusim.hard": {"gpusim.domain", "gpusim.data", "gpusim.optics", "gpusim.backends", "gpusim.kernels",
+                    "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.simulator"},
     "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.report"},
 }
 # from above to below: none may reach one before it, by whatever way

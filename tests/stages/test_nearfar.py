@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 import test_fusion as fusion
-from brute import relative
 from devices import ALL_KINDS, DEVICES, KINDS
 from scipy.signal import fftconvolve
 
 from gpusim.data.charts import chart
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.hard.truth import relative
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.planner.fusion import joint_operator

@@ -9,7 +9,6 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from acceptance import ALPHA, SIGMAS, check, p_values
 from devices import ALL, DEVICES
 from scipy import stats
 
@@ -19,6 +18,8 @@ from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import Noise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
+from gpusim.hard.acceptance import ALPHA, SIGMAS, check, p_values
+from gpusim.hard.photons import everything
 from gpusim.kernels.common.poisson_ref import EXACT_SEARCH_BELOW, SEARCH_BELOW
 from gpusim.kernels.sensor.noise import noise
 from gpusim.readout import Readout
@@ -37,17 +38,6 @@ def electrons(mean, device="numpy", **changed):
 
 
 # ---------------------------------------------------------------- the same bits everywhere
-
-
-def everything(rows, cols, photon):
-    """All kinds of noise at once, and means from rare photons to 1e8 e-, in no order."""
-    random = np.random.default_rng(3)
-    return {"expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
-            "offset": random.normal(0, 1, (rows, cols)).astype(f32),
-            "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32), "dark_electrons": 1e-3,
-            "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2, "telegraph_switching": 0.3, "full_well": 1e8,
-            "gain": 0.5, "black_level": 64.0, "white_level": 65535, "photon": photon, "seed": 2**40 + 3, "frame": 9,
-            "electrons": photon == "exact"}  # one of them with, one without a converter
 
 
 @pytest.fixture(scope="module", params=["fast", "exact"])

@@ -8,12 +8,12 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
-from acceptance import ALPHA, SIGMAS
 from devices import ALL, DEVICES
 from scipy import stats
 
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.hard.acceptance import ALPHA, SIGMAS
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.pattern import PLANES, pattern
 from gpusim.kernels.stage import stage_module

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from devices import DEVICES
 from test_drift import contents, monochromatic, operators
-from test_fusion import made_for, natural, response_of
+from test_fusion import made_for
 
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.hard.planner import response_of
+from gpusim.hard.scenes import natural
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.drift import Watch
 from gpusim.planner.fusion import Spectra

@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpusim.domain.account import SAFETY, total
+from gpusim.domain.distortion import ideal
 from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
@@ -44,6 +45,8 @@ def _lens(question, notes):
     if optics.relative_illumination == "cos4":
         slope = (2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1] if scene.fov
                  else sensor.pixel_pitch / optics.image_distance)
+        if optics.distortion is not None:  # the law is that of the angle at which light comes, not of where it lands
+            return {"cos^4 of the undistorted field": (1 + (slope * _undistorted(question)) ** 2) ** -2}, 0.0
         if not any(displacement):
             return {}, slope
         # the law that goes with the exposure is that of a grid in the middle
@@ -54,3 +57,11 @@ def _lens(question, notes):
     return {"relative illumination as given": relative_illumination(
         optics.relative_illumination, scene.shape, sensor.pixel_pitch, optics.image_distance,
         displacement=displacement)}, 0.0
+
+
+def _undistorted(question):
+    """Distance from the axis [pixel] at which every pixel's light would land without distortion, (rows, cols)."""
+    distortion, pitch = question.optics.distortion, question.sensor.pixel_pitch
+    y, x = ((np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
+            for n, move in zip(question.scene.shape, question.sensor.displacement, strict=True))
+    return np.hypot(*ideal(distortion, x, y[:, None])) * distortion.radius / pitch

@@ -1,4 +1,4 @@
-"""Seidel lenses with kernels by the transform of their pupil: the truth of the tests of field variation, float64."""
+"""Seidel lenses with kernels by the transform of their pupil: the truth about a varying blur, float64."""
 
 import functools
 
@@ -60,7 +60,7 @@ def seidel_lens(shape, waves, size):
     return lens
 
 
-def natural(shape, seed):
+def textured(shape, seed):
     """A scene of amplitude spectrum 1/f, positive: mean one, contrast 0.3 RMS."""
     random = np.random.default_rng(seed)
     f = np.hypot(np.fft.fftfreq(2 * shape[0])[:, None], np.fft.fftfreq(2 * shape[1]))
