@@ -99,7 +99,8 @@ def promise_lines(found: dict) -> list[str]:
              f"{'tolerance':10s} {'count':>5s} {'met':>4s} {'within':>6s} {'silent':>6s} {'needless':>8s} "
              f"{'rms ratios in band':>18s} {'median':>6s} {'true over allowed, median':>25s}"]
     lines += [f"{name:10s} {one['count']:5d} {one['met']:4d} {one['within']:6d} {one['silent']:6d} "
-              f"{one['needless']:8d} {one['in_band']:9d} of {one['ratios']:5d} {one['ratio'] or 0:6.2f} {one['used']:25.2g}"
+              f"{one['needless']:8d} {one['in_band']:9d} of {one['ratios']:5d} {one['ratio'] or 0:6.2f} "
+              f"{one['used']:25.2g}"
               for name, one in found["tolerances"].items()]
     lines += [f"crash {seed}: {text}" for seed, text in found["crashes"]]
     lines += [f"refused {seed}: {text}" for seed, text in found["refused"]]

@@ -54,8 +54,8 @@ def main():
     if arguments.data is not None and not arguments.data.is_dir():
         raise BadFile(arguments.data, "is no folder")
     seeds = [seed for seed in HALVES[arguments.half] if seed in chosen(arguments.seeds, HALVES[arguments.half])]
-    ask = partial(ladder if arguments.monotone else asked, device=device.name, data=arguments.data,
-                  **({} if arguments.monotone else {"timed": arguments.time, "brute": arguments.brute}))
+    ask = partial(ladder if arguments.monotone else partial(asked, brute=arguments.brute), device=device.name,
+                  data=arguments.data, timed=arguments.time)
     if arguments.monotone and not arguments.seeds:
         seeds = seeds[:: len(seeds) // MONOTONE]
     rows = run(ask, seeds, arguments.jobs, quiet=arguments.half == "held-out",
@@ -268,11 +268,11 @@ def times(question, device: str) -> dict:
     return found | {f"{name}_stages_ms": float(np.median(values)) for name, values in stages.items()}
 
 
-def ladder(seed: int, *, device: str, data: Path | None = None) -> list[dict]:
-    """Rows of a seed for every tolerance of LADDER, timed."""
+def ladder(seed: int, *, device: str, data: Path | None = None, timed: bool = False) -> list[dict]:
+    """Rows of a seed for every tolerance of LADDER."""
     rows: list = []
     for tolerance in LADDER:
-        for row in asked(seed, device=device, data=data, tolerance=tolerance, timed=True):
+        for row in asked(seed, device=device, data=data, tolerance=tolerance, timed=timed):
             rows.append(row | {"name": f"{row['name']} at {tolerance}", "ladder": True})
     return rows
 
