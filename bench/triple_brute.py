@@ -23,6 +23,7 @@ NEAREST, FARTHEST = 96, 320  # [sample] within which all light is summed
 RINGS = 48  # of the diffraction within that reach
 ROOM = 8.0  # the reach over the radius of the rays' spread, at least
 RAYS, STEP, ENDS = 240, 1.03, 300.0  # directions; growth of the steps along them; where they end over where they begin
+ROOM_AROUND = 12  # [sample] that a Gaussian of 3 spreads
 STEP_NM = 0.05  # of the spectral integrals
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}  # of numpy.pad
 GOES_ON = {"edge": "nearest", "reflect": "reflect", "scene": "nearest"}  # of scipy.ndimage
@@ -166,14 +167,22 @@ def rays(of: Spread) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([normals, normals + np.pi]), np.full(2 * of.blades, length / (2 * np.pi**2 * area))
 
 
+def energy_beyond(of: Spread, reach: int) -> float:
+    """Light of a point beyond a square of half-width `reach`."""
+    angles, energies = rays(of)
+    return float(of.q * energies @ np.maximum(np.abs(np.sin(angles)), np.abs(np.cos(angles)))) / (reach + 0.5)
+
+
 def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.ndarray:
     """Light from beyond a square of half-width `reach` at places rows x cols of planes (C, ...), each times its q."""
     if border == "zero":
         return np.zeros((len(planes), len(rows), len(cols)))  # all light is nearer: see `reach_of`
     mode, (y, x) = GOES_ON[border], (np.array(at, float) for at in (rows, cols))
     if not of.blades:  # smooth: from a coarse grid of places, and of light
-        planes = np.stack([gaussian_filter(plane, 3, mode=mode) for plane in planes])
-        y, x = (np.linspace(at[0], at[-1], 13) for at in (y, x))
+        # an edge goes on as it is, not as it is with its neighbours: it gets room around
+        room = 0 if border == "reflect" else ROOM_AROUND
+        planes = np.stack([gaussian_filter(np.pad(plane, room, mode="edge"), 3, mode=mode) for plane in planes])
+        y, x = (np.linspace(at[0], at[-1], 13) + room for at in (y, x))
     grown = STEP ** np.arange(np.log(ENDS) / np.log(STEP) + 1)
     total = np.zeros((len(planes), len(y), len(x)))
     for angle, energy in zip(*rays(of), strict=True):
@@ -185,7 +194,7 @@ def from_afar(planes, of: Spread, reach: int, border: str, rows, cols) -> np.nda
             out += energy * np.tensordot(shares, map_coordinates(plane, places, order=1, mode=mode), 1)
     if of.blades:
         return total
-    back = [(at - one[0]) / (one[-1] - one[0]) * 12 for at, one in zip((rows, cols), (y, x), strict=True)]
+    back = [(at + room - one[0]) / (one[-1] - one[0]) * 12 for at, one in zip((rows, cols), (y, x), strict=True)]
     grid = np.meshgrid(*back, indexing="ij")
     return np.stack([map_coordinates(plane, grid, order=3, mode="nearest") for plane in total])
 
@@ -261,9 +270,12 @@ def rates(scene, camera) -> np.ndarray:
         plane = spectra(scene.content, band)
         if not plane.any():
             continue
-        afar += of.q * share[:, None, None] * plane
         world = np.pad(plane, reach, mode=MODES[scene.border])
-        total += share[:, None, None] * fftconvolve(world, kernel(of, reach, width, phase), "valid")[chosen]
+        near = kernel(of, reach, width, phase)
+        # apertures that leave gaps see the points and not what is between them: a flat field is right by definition
+        share = share / (1.0 if width[0] == ratio else near.sum() + energy_beyond(of, reach))
+        afar += of.q * share[:, None, None] * plane
+        total += share[:, None, None] * fftconvolve(world, near, "valid")[chosen]
     return total + from_afar(afar, spreads[0], reach, scene.border, *places)
 
 

@@ -14,6 +14,7 @@ from triple_brute import (
     Spread,
     apertured,
     chord_spread,
+    energy_beyond,
     fine_grid,
     from_afar,
     spectra,
@@ -56,6 +57,8 @@ def kernels_at(scene, camera, pixel, band, reach) -> tuple[np.ndarray, np.ndarra
                        CLEAR / wavelength)
         values = chord_spread(q, waves, at - lateral * y, at - lateral * x)
         found[i, j] = apertured(values, fine, reach, (side, side), (0.0, 0.0))
+        if side < 1:  # as in triple_brute
+            found[i, j] /= found[i, j].sum() + energy_beyond(Spread(q), reach)
     return found, steps
 
 
