@@ -9,6 +9,7 @@ their files' names. What no stored result backs is left as it is.
 from pathlib import Path
 
 from results import HERE, OneLineParser, load, spread, start
+from triple_summary import BAND, summary
 
 from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path
@@ -172,6 +173,20 @@ def _peers(result):
     yield _markdown(columns, rows)
 
 
+def _triples(result):
+    found = summary(result["rows"])[1]["promise"]
+    yield (f"{result['half']} half: {found['rows']} triples, {len(found['refused'])} refused, "
+           f"{len(found['crashes'])} crashed. Said met: {found['met']}, of which within the tolerance "
+           f"{found['met_within']}; said NOT met: {found['unmet']}, of which beyond it {found['unmet_beyond']}. "
+           f"Predicted over true within 1/{BAND} .. {BAND}: {found['in_band']} of {found['ratios']}, root mean squares "
+           f"alone {found['rms_in_band']} of {found['rms_ratios']}.")
+    columns = ("tolerance", "triples", "said met", "within", "silent misses", "needless NOT met", "predicted over true",
+               "true over allowed")
+    yield _markdown(columns, [(name, one["count"], one["met"], one["within"], one["silent"], one["needless"],
+                               _number(one["ratio"], ".2f"), _number(one["used"], ".2g"))
+                              for name, one in found["tolerances"].items()])
+
+
 def _cells(result):
     for title, columns in result["columns"].items():
         yield title + ":"
@@ -180,7 +195,8 @@ def _cells(result):
 
 TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
           "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
-          "picture": _peers, "demosaic": _cells, "color": _cells, "figure8": _cells, "figure14": _cells}
+          "picture": _peers, "triples": _triples, "demosaic": _cells, "color": _cells, "figure8": _cells,
+          "figure14": _cells}
 
 if __name__ == "__main__":
     start(main)

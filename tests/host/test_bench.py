@@ -42,6 +42,10 @@ EXAMPLES = [
                        timed("2 of 2", 4.0, 5.0, 6.0, threads=2, busy=1.9)]),
     result("compare", [timed("SciPy", 7.0, 8.0, 9.0, error="rms 1"), {"name": "torch", "failed": "not installed"},
                        timed("ours", 1.0, 2.0, 3.0, error="", base="SciPy", over_p25=3.0, over_p50=4.0, over_p75=5.0)]),
+    result("triples", [{"name": "seed 1", "seed": 1, "words": "1: a scene", "status": "ok", "tolerance": "1e-3",
+                        "met": True, "within": False, "nearest": "0.002 of 0.001 rms", "verdict": "", "bound": "rms",
+                        "allowed": 1e-3, "true": {"rms": 2e-3}, "ratio": 0.25, "ratio_rms": 0.25,
+                        "bounds": {"border": {"rms": 5e-4}}}], half="development"),
     result("color", [{"name": "ridge", "table": "Errors", "cells": ["1.0", "2.0"]}],
            columns={"Errors": ["method", "D65", "A"]}),
 ]
@@ -83,7 +87,8 @@ def test_tables_are_made_of_the_results_alone(stored):
                 "| 1280x720, 31 bands | 1.84 | 1 .. 2 | 2 | 2.00 |", "| 8K | no room |",
                 "| 2 of 2 | 5 | 4 .. 6 | 1.60 | 0.80 | 1.90 |",
                 "| ours | 2 | 1 .. 3 | SciPy | 4.00 (3.00 .. 5.00) |  |", "| torch | not installed |",
-                "| ridge | 1.0 | 2.0 |", "10 GB/s copied, 100 GFLOP/s measured", "commit abc, 2026-01-02"):
+                "| 1e-3 | 1 | 1 | 0 | 1 | 0 | 0.25 | 2 |", "| ridge | 1.0 | 2.0 |",
+                "10 GB/s copied, 100 GFLOP/s measured", "commit abc, 2026-01-02"):
         assert row in once, row
 
 
@@ -204,7 +209,7 @@ def test_command_writes_the_readme(stored, tmp_path):
     for name in ("stages", "scaling"):  # they have figures, which take seconds
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
-    readme.write_text(marks("loops", "threads", "compare", "color"))
+    readme.write_text(marks("loops", "threads", "compare", "triples", "color"))
     assert run("tables.py", "--results", stored, "--readme", readme)[0] == 0
-    assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "color"),
+    assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "color"),
                                                tables.stored_results(stored))

@@ -1,0 +1,285 @@
+"""The planner's promise on random scenes, cameras and tolerances: what it predicts, what it says, and what is true.
+
+`python bench/triples.py --half development --data FOLDER --json triples.json` asks and judges;
+`python bench/triples.py --summary triples.json` tells it again.
+"""
+
+import contextlib
+import json
+import re
+import sys
+import time
+import traceback
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, replace
+from functools import partial
+from math import isfinite
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from results import count, finish, load, parser, ready, rms, start
+from triple_scenes import DEVELOPMENT, HELD_OUT, TOLERANCES, triple
+from triple_summary import summary
+
+import gpusim as gs
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
+from gpusim.domain.tolerance import Tolerance
+from gpusim.report import Error
+from gpusim.truth import at_pixels, probe_pixels, require_truth, true_mean
+
+HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
+LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight
+MONOTONE = 20  # scenes of a half that are asked for every step of the ladder
+REPEAT = 5  # frames that are timed
+PROBES = 2  # pixels of a blur that varies over the field at which the truth is judged
+
+
+def main():
+    """Ask, judge, print and store."""
+    made = parser(__doc__)
+    made.add_argument("--half", choices=HALVES, default="development", help="which seeds (default: development)")
+    made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
+    made.add_argument("--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none")
+    made.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
+    made.add_argument("--time", action="store_true", help="time frames with and without the tolerance, too")
+    made.add_argument("--brute", action="store_true", help="judge the truth by sums that share nothing with it")
+    made.add_argument("--monotone", action="store_true", help="ask some scenes for every tolerance instead")
+    made.add_argument("--summary", metavar="FILE", help="of a stored result: nothing is run")
+    arguments = made.parse_args()
+    if arguments.summary:
+        print(summary(load(arguments.summary)["rows"])[0])
+        return
+    device, old = ready(arguments, "triples")
+    if arguments.data is not None and not arguments.data.is_dir():
+        raise BadFile(arguments.data, "is no folder")
+    seeds = [seed for seed in HALVES[arguments.half] if seed in chosen(arguments.seeds, HALVES[arguments.half])]
+    ask = partial(ladder if arguments.monotone else partial(asked, brute=arguments.brute), device=device.name,
+                  data=arguments.data, timed=arguments.time)
+    if arguments.monotone and not arguments.seeds:
+        seeds = seeds[:: len(seeds) // MONOTONE]
+    rows = run(ask, seeds, arguments.jobs, quiet=arguments.half == "held-out",
+               kept=arguments.json and Path(f"{arguments.json}.rows"))
+    print(summary(rows)[0])
+    finish(arguments, "triples", device, rows, old, half=arguments.half)
+
+
+def chosen(text: str | None, allowed) -> set:
+    """Numbers of a list such as 3,5,20-29; all that are allowed for None. Raises BadFile for what is no list."""
+    if text is None:
+        return set(allowed)
+    found = set()
+    for part in text.split(","):
+        match = re.fullmatch(r"(\d{1,4})(?:-(\d{1,4}))?", part)
+        if not match:
+            raise BadFile(f"--seeds {text}", f"{part!r} is no seed; wanted numbers such as 3,5,20-29")
+        found |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
+    return found
+
+
+def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None) -> list[dict]:
+    """Rows of all seeds, in their order; several processes ask if wanted.
+
+    kept: a file to which rows are added as they come, one line of JSON for each seed: a run that was stopped goes on.
+    """
+    found: dict = {}
+    if kept and kept.is_file():
+        found = {seed: rows for seed, rows in map(json.loads, kept.read_text().splitlines()) if seed in seeds}
+    seeds, todo = list(seeds), [seed for seed in seeds if seed not in found]
+
+    def add(seed, rows):
+        found[seed] = rows
+        if kept:
+            with kept.open("a") as file:
+                file.write(json.dumps([seed, rows]) + "\n")
+        for row in [] if quiet else rows:
+            print(f"{len(found)}/{len(seeds)} {line(row)}", flush=True)
+
+    if jobs == 1:
+        for seed in todo:
+            add(seed, ask(seed))
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            futures = {pool.submit(ask, seed): seed for seed in todo}
+            for future in as_completed(futures):
+                add(futures[future], future.result())
+    return [row for seed in seeds for row in found[seed]]
+
+
+def line(row: dict) -> str:
+    """A row in words."""
+    if row["status"] != "ok":
+        return f"{row['words'] or row['name']}: {row['status']} {row.get('text', '')[:200]}"
+    said = {True: "met", False: "NOT met", None: "says nothing"}[row["met"]]
+    return (f"{row['words']}: {said}, {'within' if row['within'] else 'BEYOND'}; rms {row['true']['rms']:.2g} "
+            f"predicted {row['total']['rms'] or 0:.2g}; {row['seconds']:.1f} s")
+
+
+def account_of(plan) -> dict:
+    """What a plan promises: {"bounds": name -> bound, "total": bound}, a bound a dict of the tolerance's three figures.
+
+    A plan without an account predicts root mean squares alone: that of the planes and that of the border.
+    """
+    if hasattr(plan, "account"):
+        return {"bounds": {name: asdict(bound) for name, bound in plan.account.bounds.items()},
+                "total": asdict(plan.account.total)}
+    unknown = {"p999_sigma": None, "max_sigma": None}
+    bounds = {name: {"rms": plan.predicted[name], **unknown} for name in ("relative rms", "border")
+              if name in plan.predicted}
+    total = float(np.sqrt(sum(bound["rms"] ** 2 for bound in bounds.values())))
+    return {"bounds": bounds, "total": {"rms": total, **unknown}}
+
+
+def verdict_of(plan, tolerance: Tolerance, account: dict) -> tuple[bool | None, str]:
+    """Whether a plan says that its frame is within the tolerance, and in which words.
+
+    A plan without a verdict is taken at its word where it says that a bound is broken, and else by what it predicts.
+    """
+    if hasattr(plan, "verdict"):
+        return plan.verdict.met, plan.verdict.text
+    predicted = account["total"]["rms"]
+    met = not plan.not_met and (tolerance.rms is None or predicted <= tolerance.rms)
+    return met, plan.not_met or f"{predicted:.2g} rms"
+
+
+def asked(seed: int, *, device: str, data: Path | None = None, tolerance: str | None = None, timed: bool = False,
+          brute: bool = False) -> list[dict]:
+    """The row of a seed, in a list; none where it is of data that are not there. tolerance: in place of its own."""
+    row: dict = {"name": f"seed {seed}", "seed": seed, "words": ""}
+    began = time.perf_counter()
+    try:
+        question = triple(seed, data)
+        if question is None:
+            return []
+        question = replace(question, tolerance=tolerance or question.tolerance)
+        row |= {"words": question.words, "kind": question.kind, "border": question.border, "lens": question.lens,
+                "tolerance": question.tolerance, "form": question.scene.content.form,
+                "samples_per_pixel": question.scene.samples_per_pixel, "shape": question.scene.shape}
+        row |= judged(question, device, brute)
+        if timed and row["status"] == "ok":
+            row |= times(question, device)
+    except Exception as error:  # what must not pass silently is counted
+        row |= {"status": "crash", "text": "".join(traceback.format_exception(error)[-3:])}
+    return [plain(row | {"seconds": time.perf_counter() - began})]
+
+
+def plain(value):
+    """The same for JSON: what is not finite is None."""
+    if isinstance(value, dict):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def judged(question, device: str, brute: bool = False) -> dict:
+    """What the planner says of a question, and what is true of the frame. brute: judge the truth, too."""
+    tolerance = Tolerance.parse(question.tolerance)
+    try:
+        simulator = gs.Simulator(question.camera, device=device, tolerance=question.tolerance)
+        exposure = simulator.expose(question.scene)
+        plan = exposure.plan
+        account = account_of(plan)
+        met, said = verdict_of(plan, tolerance, account)
+        mean, truth, pixels = seen(simulator, question.scene, exposure)
+    except GpusimError as refusal:
+        return {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
+    error = Error.between(mean, truth, question.camera.sensor.read_sigma)
+    true = {"rms": error.rms, "p999_sigma": error.p999_sigma, "max_sigma": error.max_sigma}
+    bound = next(key for key in true if getattr(tolerance, key) is not None)
+    promised, total = account["total"][bound], account["total"]["rms"]
+    row = {"status": "ok", "met": met, "verdict": said, "within": error.meets(tolerance),
+           "nearest": error.nearest(tolerance)[1], "bound": bound, "allowed": getattr(tolerance, bound), "true": true,
+           "max_local": error.max_local, "bounds": account["bounds"], "total": account["total"],
+           "predicted": plan.predicted, "ratio": over(promised, true[bound]), "ratio_rms": over(total, error.rms),
+           "models": plan.models, "left_out": plan.left_out, "not_met": plan.not_met,
+           "planes": None if plan.mix is None else plan.mix.shape[1], "period": plan.period,
+           "samples": plan.scene.content.shape, "q": [float(plan.q.min()), float(plan.q.max())],
+           "predicted_ms": getattr(plan, "cost_ms", None), "exposure_time": exposure.exposure_time,
+           "largest_e": float(mean.max())}
+    return row | (compared(question, exposure.exposure_time, mean, truth, pixels) if brute else {})
+
+
+def over(predicted: float | None, true: float) -> float | None:
+    """Predicted over true, None where one of them is not known or 0."""
+    return predicted / true if predicted and true else None
+
+
+def seen(simulator, scene, exposure) -> tuple:
+    """Mean electrons of a frame, those of `gpusim.truth`, and the pixels of both, None for all: as `true_error`."""
+    require_truth(simulator.camera, scene)
+    mean = np.array(simulator.device.numpy(exposure.mean), np.float32)
+    of = type(simulator), simulator.camera, scene, exposure.plan, exposure.exposure_time
+    if exposure.plan.varying is None:
+        return mean, true_mean(*of), None
+    pixels = probe_pixels(scene.shape)
+    return mean[pixels[:, 0], pixels[:, 1]], at_pixels(*of, pixels), pixels
+
+
+def compared(question, seconds: float, mean, truth, pixels) -> dict:
+    """Relative RMS errors of the truth and of a frame against sums that share nothing with either.
+
+    Of a blur that varies over the field: at the first PROBES pixels.
+    """
+    import triple_brute
+    import triple_field
+
+    try:
+        if pixels is None:
+            own = triple_brute.mean_electrons(question.scene, question.camera, seconds)
+        else:
+            mean, truth = mean[:PROBES], truth[:PROBES]
+            own = triple_field.electrons_at(question.scene, question.camera, seconds, pixels[:PROBES])
+    except OutOfRange as refusal:
+        return {"brute": {"refused": str(refusal)}}
+    own = own.reshape(truth.shape)
+    return {"brute": {"truth": rms(truth, own), "frame": rms(mean, own),
+                      "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma}}
+
+
+def times(question, device: str) -> dict:
+    """Milliseconds of planning, and of the steady state of new scenes of the same kind, with the tolerance and exact.
+
+    Frames alternate between both, so that other work on the machine meets each.
+    """
+    scenes = [replace(question.scene, content=question.scene.content.with_planes(question.scene.content.planes.copy()))
+              if question.scene.content.form != "picture" else replace(question.scene) for _ in range(2)]
+    programs, found = {}, {}
+    for name, tolerance in (("frame", question.tolerance), ("exact", None)):
+        simulator = gs.Simulator(question.camera, device=device, tolerance=tolerance)
+        begin = time.perf_counter()
+        simulator.plan(question.scene)
+        found[f"{name}_planning_ms"] = 1e3 * (time.perf_counter() - begin)
+        programs[name] = simulator.program(question.scene, exposure_time=0.01)
+        programs[name].frame()
+    walls: dict = {name: [] for name in programs}
+    stages: dict = {name: [] for name in programs}
+    for number in range(REPEAT + 1):
+        for name, program in programs.items():
+            begin = time.perf_counter()
+            raw = program.update(scene=scenes[0]).raw()
+            program.simulator.device.numpy(raw)  # waits; a frame is small
+            taken = 1e3 * (time.perf_counter() - begin)
+            report = program.update(scene=scenes[1]).frame().report  # all its stages, codes included
+            if number:
+                walls[name].append(taken)
+                stages[name].append(report.ms)
+    found |= {f"{name}_ms": float(np.median(values)) for name, values in walls.items()}
+    return found | {f"{name}_stages_ms": float(np.median(values)) for name, values in stages.items()}
+
+
+def ladder(seed: int, *, device: str, data: Path | None = None, timed: bool = False) -> list[dict]:
+    """Rows of a seed for every tolerance of LADDER."""
+    rows: list = []
+    for tolerance in LADDER:
+        for row in asked(seed, device=device, data=data, tolerance=tolerance, timed=timed):
+            rows.append(row | {"name": f"{row['name']} at {tolerance}", "ladder": True})
+    return rows
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(BrokenPipeError):
+        start(main)
+    sys.exit()
