@@ -26,6 +26,7 @@ import gpusim as gs
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.domain.tolerance import Tolerance
 from gpusim.report import Error
+from gpusim.speeds import frame_ms
 from gpusim.truth import at_pixels, probe_pixels, require_truth, true_mean
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
@@ -115,33 +116,6 @@ def line(row: dict) -> str:
             f"predicted {row['total']['rms'] or 0:.2g}; {row['seconds']:.1f} s")
 
 
-def account_of(plan) -> dict:
-    """What a plan promises: {"bounds": name -> bound, "total": bound}, a bound a dict of the tolerance's three figures.
-
-    A plan without an account predicts root mean squares alone: that of the planes and that of the border.
-    """
-    if hasattr(plan, "account"):
-        return {"bounds": {name: asdict(bound) for name, bound in plan.account.bounds.items()},
-                "total": asdict(plan.account.total)}
-    unknown = {"p999_sigma": None, "max_sigma": None}
-    bounds = {name: {"rms": plan.predicted[name], **unknown} for name in ("relative rms", "border")
-              if name in plan.predicted}
-    total = float(np.sqrt(sum(bound["rms"] ** 2 for bound in bounds.values())))
-    return {"bounds": bounds, "total": {"rms": total, **unknown}}
-
-
-def verdict_of(plan, tolerance: Tolerance, account: dict) -> tuple[bool | None, str]:
-    """Whether a plan says that its frame is within the tolerance, and in which words.
-
-    A plan without a verdict is taken at its word where it says that a bound is broken, and else by what it predicts.
-    """
-    if hasattr(plan, "verdict"):
-        return plan.verdict.met, plan.verdict.text
-    predicted = account["total"]["rms"]
-    met = not plan.not_met and (tolerance.rms is None or predicted <= tolerance.rms)
-    return met, plan.not_met or f"{predicted:.2g} rms"
-
-
 def asked(seed: int, *, device: str, data: Path | None = None, tolerance: str | None = None, timed: bool = False,
           brute: bool = False) -> list[dict]:
     """The row of a seed, in a list; none where it is of data that are not there. tolerance: in place of its own."""
@@ -155,7 +129,7 @@ def asked(seed: int, *, device: str, data: Path | None = None, tolerance: str | 
         row |= {"words": question.words, "kind": question.kind, "border": question.border, "lens": question.lens,
                 "tolerance": question.tolerance, "form": question.scene.content.form,
                 "samples_per_pixel": question.scene.samples_per_pixel, "shape": question.scene.shape}
-        row |= judged(question, device, brute)
+        row |= judged(question, device, brute, timed)
         if timed and row["status"] == "ok":
             row |= times(question, device)
     except Exception as error:  # what must not pass silently is counted
@@ -174,30 +148,36 @@ def plain(value):
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def judged(question, device: str, brute: bool = False) -> dict:
-    """What the planner says of a question, and what is true of the frame. brute: judge the truth, too."""
+def judged(question, device: str, brute: bool = False, timed: bool = False) -> dict:
+    """What the planner says of a question, and what is true of the frame.
+
+    brute: judge the truth, too. timed: predict the time of a frame.
+    """
     tolerance = Tolerance.parse(question.tolerance)
     try:
         simulator = gs.Simulator(question.camera, device=device, tolerance=question.tolerance)
         exposure = simulator.expose(question.scene)
         plan = exposure.plan
-        account = account_of(plan)
-        met, said = verdict_of(plan, tolerance, account)
+        account = plan.account.at(exposure.exposure_time)
+        verdict = account.verdict(tolerance, plan.verdict.remedy)
         mean, truth, pixels = seen(simulator, question.scene, exposure)
     except GpusimError as refusal:
         return {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     error = Error.between(mean, truth, question.camera.sensor.read_sigma)
     true = {"rms": error.rms, "p999_sigma": error.p999_sigma, "max_sigma": error.max_sigma}
     bound = next(key for key in true if getattr(tolerance, key) is not None)
-    promised, total = account["total"][bound], account["total"]["rms"]
-    row = {"status": "ok", "met": met, "verdict": said, "within": error.meets(tolerance),
+    promised, total = getattr(account.total, bound), account.total.rms
+    row = {"status": "ok", "met": verdict.met, "verdict": str(verdict), "by": verdict.by,
+           "within": error.meets(tolerance),
            "nearest": error.nearest(tolerance)[1], "bound": bound, "allowed": getattr(tolerance, bound), "true": true,
-           "max_local": error.max_local, "bounds": account["bounds"], "total": account["total"],
-           "predicted": plan.predicted, "ratio": over(promised, true[bound]), "ratio_rms": over(total, error.rms),
-           "models": plan.models, "left_out": plan.left_out, "not_met": plan.not_met,
+           "max_local": error.max_local, "total": asdict(account.total),
+           "bounds": {name: asdict(one) for name, one in account.bounds.items()}, "beside": plan.beside,
+           "ratio": over(promised, true[bound]), "ratio_rms": over(total, error.rms),
+           "models": plan.models, "left_out": plan.left_out, "expected_time": plan.account.seconds,
            "planes": None if plan.mix is None else plan.mix.shape[1], "period": plan.period,
            "samples": plan.scene.content.shape, "q": [float(plan.q.min()), float(plan.q.max())],
-           "predicted_ms": getattr(plan, "cost_ms", None), "exposure_time": exposure.exposure_time,
+           "predicted_ms": sum(frame_ms(simulator, plan).values()) if timed else None,
+           "exposure_time": exposure.exposure_time,
            "largest_e": float(mean.max())}
     return row | (compared(question, exposure.exposure_time, mean, truth, pixels) if brute else {})
 

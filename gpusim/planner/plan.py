@@ -23,6 +23,8 @@ from gpusim.planner.sampling import Taps
 from gpusim.planner.search import Option, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
+ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -163,7 +165,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
             question = blur.left_out(question, picture, probes, notes)
     by_depth, one_distance = depth.by_depth(question)
     seen = _seen(question, picture, probes, operation, by_depth, notes) if question.is_blurred else _plain(
-        question, notes)
+        question, probes, notes)
     taps, spare = sampling.taps_of(question, seen.around.period if seen.around else None)
     depth.describe(by_depth, notes)
     picture.describe(notes)
@@ -199,7 +201,9 @@ class _Seen:
     remedy: str = ""
 
 
-def _plain(question, notes):
+def _plain(question, probes, notes):
+    if probes is not None:
+        notes.bounds["rounding"] = probes.even_error(ROUNDING)
     return _Seen(spectral.unblurred(question, notes))
 
 

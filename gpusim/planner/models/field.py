@@ -23,8 +23,10 @@ def varying_planes(question: Question, response: Response, prior, flat):
     count, table, each, error = _planes(question, response, prior, limit)
     mix, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
     # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
-    spectra = question.facts.spectra
+    spectra, (rows, cols) = question.facts.spectra, question.size
     differences = spectra.differences
+    if question.scene.border == "zero":  # the frame's outline is an edge, too
+        differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
     strength = np.sqrt(np.einsum("kl,lm,km->k", table, differences, table))
     whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat))
     strength = np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12)
