@@ -7,7 +7,7 @@ import numpy as np
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.plan import Plan
-from gpusim.planner.search import Option
+from gpusim.planner.search import Candidate
 from gpusim.simulator import Simulator
 from gpusim.speeds import Speeds, frame_ms
 
@@ -25,7 +25,7 @@ class Forecast:
     plan: Plan
     device: str
     ms: dict[str, float]
-    front: tuple[tuple[float, Option], ...]
+    front: tuple[tuple[float, Candidate], ...]
 
     @classmethod
     def of(cls, simulator: Simulator, scene: Scene) -> "Forecast":
@@ -49,8 +49,7 @@ class Forecast:
                 "tolerance": plan.tolerance and asdict(plan.tolerance),
                 "verdict": plan.verdict and asdict(plan.verdict), "ms": self.ms, "frame_ms": sum(self.ms.values()),
                 "bytes": plan.bytes_needed,
-                "front": [{"ms": ms, "planes": option.way.count, "reach": option.around.reach,
-                           "words": option.way.words, "predicted": asdict(option.total)} for ms, option in self.front]}
+                "front": [{"ms": ms, **asdict(option)} for ms, option in self.front]}
 
     def __str__(self):
         plan, rows = self.plan, self.plan.scene.shape[0]
@@ -64,10 +63,10 @@ class Forecast:
         if plan.verdict is not None:
             lines.append(f"  tolerance: {plan.verdict}")
         for ms, option in self.front:
-            _, _, value, _, unit = option.total.nearest(self._tolerance)
-            chosen = " (chosen)" if option.way.words in " ".join(plan.models.values()) and (
-                option.around.period == plan.period) else ""
-            lines.append(f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.way.words}, {option.around.reach} pixels of "
+            _, _, value, _, unit = option.error.nearest(self._tolerance)
+            chosen = " (chosen)" if option.words in " ".join(plan.models.values()) and (
+                option.period == plan.period) else ""
+            lines.append(f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.words}, {option.reach} pixels of "
                          f"surroundings{chosen}")
         return "\n".join(lines)
 
@@ -84,7 +83,7 @@ class Forecast:
 
 def _varied(plan, option):
     """The plan as far as its cost goes, by another option."""
-    count, channels = option.way.count, len(plan.weights)
+    count, channels = option.planes, len(plan.weights)
     table = None if count == len(plan.content.entry_spectra) and plan.content.labels is None else np.empty((count, 0))
-    return replace(plan, period=option.around.period, table=table, mix=np.empty((channels, count)),
+    return replace(plan, period=option.period, table=table, mix=np.empty((channels, count)),
                    transfers=np.empty((channels, count, 0)))

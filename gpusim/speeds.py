@@ -10,7 +10,7 @@ from gpusim.backends import Device
 from gpusim.backends.probe import cache_file, write_cache
 from gpusim.developer import Developer
 from gpusim.kernels.stage import public_function, stage_module
-from gpusim.planner.work import of_bench, of_plan
+from gpusim.work import of_bench, of_plan
 
 SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
 REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow

@@ -89,16 +89,17 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     return scipy.ndimage.map_coordinates(coarse, np.meshgrid(*places, indexing="ij"), order=3, mode="grid-wrap")
 
 
-def blurred_level(image, q: float, margin: int) -> float:
-    """Root mean square of the frame as a lens shows it; a Gaussian stands for the lens where a few pixels tell it all.
+def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
+    """Root mean square and maximum of the frame as a lens shows it.
 
-    0.42 q: the standard deviation of the Gaussian that is as the middle of an Airy pattern.
+    deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample].
     """
     inside = _inside(image, margin)
-    level = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size)
-    if inside.max(initial=0) <= SPIKY * level:
-        return level
-    return sqrt(np.square(scipy.ndimage.gaussian_filter(inside, 0.42 * q), dtype=np.float64).mean())
+    level, highest = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size), inside.max(initial=0)
+    if highest <= SPIKY * level or not deviation:
+        return level, float(highest)
+    blurred = scipy.ndimage.gaussian_filter(inside, deviation)
+    return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
@@ -141,6 +142,7 @@ class Outside:
     level: float
     noise: float
     missing: float = 0.0
+    around: int = 0
 
     def error(self, period, reach: float) -> tuple[float, float, float]:
         """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
@@ -161,7 +163,10 @@ class Outside:
         rows, cols = (np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
                       for n in light.shape)
         error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
-        sigmas = error / np.sqrt(np.maximum(light[np.ix_(rows, cols)].astype(np.float64) / self.level, 0) + self.noise)
+        beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
+        y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
+        local = light[y[:, None, :, None], x[None, :, None, :]].mean(axis=(2, 3), dtype=np.float64)
+        sigmas = error / np.sqrt(np.maximum(local / self.level, 0) + self.noise)
         return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
 

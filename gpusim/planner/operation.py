@@ -1,7 +1,6 @@
 """How long a camera will expose a scene, before any frame: what the noise is that errors are measured in."""
 
 from dataclasses import dataclass
-from math import erf
 
 import numpy as np
 
@@ -22,15 +21,15 @@ class Operation:
 
     @property
     def level(self) -> float:
-        """Electrons of the frame's root mean square, at least one."""
-        return max(self.seconds * self.size, 1.0)
+        """Electrons of the frame's root mean square."""
+        return max(self.seconds * self.size, 1e-30)
 
     @classmethod
-    def of(cls, camera, facts: Facts, weights, brightness, level: float, peak: float, q: float) -> "Operation":
-        """For the light of a scene without blur.
+    def of(cls, camera, facts: Facts, weights, level: float, highest: float) -> "Operation":
+        """For the light of a scene.
 
-        weights: of the channels, (C, L). brightness: sums over them, (rows, cols). level: its root mean square as the
-        lens shows it. peak: of points split off it. q: of the lens, at the mean wavelength.
+        weights: of the channels, (C, L). level, highest: root mean square and maximum over the frame of the sums over
+        the channels, as the lens shows them.
         """
         sensor, pairs = camera.sensor, facts.pairs
         rates = pairs.mixed(weights @ pairs.entry_spectra.T)
@@ -44,13 +43,11 @@ class Operation:
         size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time
         if seconds is None:
-            middle = erf(0.5 / (0.42 * np.sqrt(2) * max(q, 0.05))) ** 2  # of a point's light, in its own pixel
-            highest = max(float(brightness.max()), peak * middle)
             dark = sensor.noise.dark_current * sensor.noise.warmth
             try:
                 seconds = sensor.auto_exposure.choose(rates + dark, sensor.saturation)[0]
                 if sensor.auto_exposure.method == "full" and highest > 0:
-                    seconds *= min(float(looked.max()) / highest, 1.0)
+                    seconds *= float(looked.max()) / highest
             except BadData:  # a dark scene: whoever exposes it says so
                 seconds = 1.0
         return cls(float(seconds), size, float(sensor.read_sigma**2))

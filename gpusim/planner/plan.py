@@ -20,7 +20,7 @@ from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
-from gpusim.planner.search import Option, chosen, front, options, remedy
+from gpusim.planner.search import Candidate, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
@@ -89,7 +89,7 @@ class Plan:
     account: Account = field(default_factory=Account)
     beside: dict = field(default_factory=dict)
     verdict: Verdict | None = None
-    front: tuple[Option, ...] = ()
+    front: tuple[Candidate, ...] = ()
     planned_for: str = ""
     tolerance: Tolerance | None = None
 
@@ -233,5 +233,5 @@ def _seen(question, picture, probes, operation, by_depth, notes):
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
         limit = max((question.limit**2 - rest**2), 0.0) ** 0.5
         limit = max(limit, SAFETY * option.way.bound.rms)
-    return _Seen(planes, option.around, folded, limit, () if tolerance is None else tuple(front(found, tolerance)),
+    return _Seen(planes, option.around, folded, limit, () if tolerance is None else front(found, tolerance),
                  needed)

@@ -14,7 +14,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lens import open_lens, spread_radius
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
 from gpusim.planner.tables import Kept, Tables
@@ -143,6 +143,17 @@ class Question:
     def mean_q(self) -> float:
         """The same, as the sensor sees the wavelengths."""
         return float(np.average(self.q, weights=self.light))
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of a Gaussian that is about as the lens and the pixel spread a point [sample].
+
+        0.42 q: of that which is as the middle of an Airy pattern; half the radius of rays for a disc.
+        """
+        if not self.is_blurred:
+            return 0.0
+        rays = spread_radius(self.optics, self.scene.wavelengths, self.pitch)
+        return float(np.sqrt((0.42 * self.mean_q) ** 2 + rays**2 / 4 + (self.ratio**2 - 1) / 12))
 
     @property
     def tables(self) -> Tables:

@@ -1,7 +1,8 @@
 """What a Program may do on the host while frames follow each other, and why; all else runs on the device alone."""
 
 STEPS = {  # that may read values of the device
-    "facts": "a plan for another kind of scene is made on the host, which looks at the samples",
+    "facts": "small scenes from the host are looked at there",
+    "plan": "a plan for another kind of scene is made on the host, which looks at windows of the samples",
     "transfer": "tables for another plan begin with the wavelengths, a few numbers",
     "levels": "kernels for another plan, of blurs without transforms, are decomposed on the host",
     "metered": "a picture by itself waits for a few numbers, those of its own exposure; a stream's come a frame late",

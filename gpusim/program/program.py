@@ -6,6 +6,8 @@ from functools import partial
 from math import prod
 from typing import Any
 
+import numpy as np
+
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -25,6 +27,7 @@ from gpusim.program.reading import WHOLE, Reading
 from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
+LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
 
 
 @dataclasses.dataclass(eq=False, slots=True)
@@ -121,17 +124,18 @@ class Program:
         plan, by = before.plan or (None, None)
         if plan is None or not (plan.scene is scene or plan.serves(scene)) or not (
                 by is camera or same(planned_by(by, asked), planned_by(camera, asked))):
-            plan = simulator.plan(scene, before.kept("facts", One(scene), self._facts))
+            facts = before.kept("facts", One(scene), self._facts)
+            plan = before.kept("plan", (One(facts), One(simulator)), lambda: simulator.plan(scene, facts))
         before.plan = plan, camera
         return plan
 
     def _facts(self):
         """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
-        device, scene = self.simulator.device, self.scene
-        if scene.depth is not None or device.kind == "numpy" or scene.content.nbytes > device.largest_array:
-            reading = Reading(device, scene.content)
-            return Facts.of(dataclasses.replace(scene, content=reading.whole()))
-        content = scene.content
+        device, scene, content = self.simulator.device, self.scene, self.scene.content
+        is_there = not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples)
+        if scene.depth is not None or device.kind == "numpy" or not (
+                is_there or LARGE <= content.nbytes <= device.largest_array):
+            return Facts.of(dataclasses.replace(scene, content=Reading(device, content).whole()))
         stored = self.before.kept("content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content))
         return Facts(content, None, Reading(device, content, stored))
 

@@ -433,7 +433,7 @@ def test_command_line(tmp_path, capsys):
                  "--device", "numpy", "--report", str(report)]) == 0
     found = json.loads(report.read_text())
     assert (found["scene"]["rows"], found["scene"]["cols"]) == (18, 24)
-    assert found["predicted"]["scene sampling"] > 0
+    assert found["beside"]["scene sampling"] > 0
     for wrong in ("0.5", "nan"):
         assert main(["simulate", "flat", "--camera", "mono", "--samples-per-pixel", wrong]) == 2
         error = capsys.readouterr().err

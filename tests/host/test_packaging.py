@@ -41,6 +41,12 @@ ALLOWED = {
     "gpusim.hard": {"gpusim.domain", "gpusim.data", "gpusim.optics", "gpusim.backends", "gpusim.kernels",
                     "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.simulator"},
     "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.report"},
+    "gpusim.work": {"gpusim.kernels", "gpusim.planner"},
+    "gpusim.speeds": {"gpusim.backends", "gpusim.developer", "gpusim.kernels", "gpusim.work"},
+    "gpusim.forecast": {"gpusim.domain", "gpusim.planner", "gpusim.simulator", "gpusim.speeds"},
+    "gpusim.pareto": {"gpusim.domain", "gpusim.backends", "gpusim.report", "gpusim.simulator", "gpusim.speeds",
+                      "gpusim.truth"},
+    "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
 }
 # from above to below: none may reach one before it, by whatever way
 CHAIN = ("gpusim.captures", "gpusim.simulator", "gpusim.program", "gpusim.planner", "gpusim.optics", "gpusim.domain")

@@ -18,6 +18,8 @@ from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 
+MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
+
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -92,7 +94,8 @@ def _outside(question, picture, depth, level):
         spread = depth.reach if depth else spread_radius(optics, scene.wavelengths, question.pitch)
     tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
     return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
-                   max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0)
+                   max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0,
+                   min(round(question.deviation), MOST_AROUND))
 
 
 def _energy_beyond(radius, q):

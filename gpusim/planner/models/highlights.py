@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.planner.border import blurred_level, rule_of, spread_afar, tail_of
+from gpusim.planner.border import rule_of, seen_light, spread_afar, tail_of
 from gpusim.planner.facts import Facts
 from gpusim.planner.highlights import THRESHOLD, Highlights, median_of, split_highlights, unsplit_error
 from gpusim.planner.notes import Notes
@@ -17,13 +17,13 @@ class Picture:
     """The light that goes through the blur.
 
     brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
-    highlights in it, as the lens shows it. peak: brightness of the strongest highlight. highlights: what was split
+    highlights in it, as the lens shows it. highest: maximum, likewise. highlights: what was split
     off, or None.
     """
 
     brightness: np.ndarray
     level: float
-    peak: float
+    highest: float
     highlights: Highlights | None
 
     def from_afar(self, question: Question, distance: float) -> float:
@@ -36,8 +36,7 @@ class Picture:
 
     def operation(self, question: Question) -> Operation:
         """How the camera will expose it."""
-        return Operation.of(question.camera, question.facts, question.weights, self.brightness, self.level, self.peak,
-                            question.mean_q)
+        return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest)
 
     def describe(self, notes: Notes):
         """Say what was split off."""
@@ -58,17 +57,16 @@ def split(question: Question) -> tuple[Question, Picture]:
     """The question of what is left without highlights, and the picture."""
     scene, facts = question.scene, question.facts
     brightness = facts.brightness(question.light)
-    level = blurred_level(brightness, question.mean_q if question.is_blurred else 0.0, scene.margin)
-    peak = float(brightness.max(initial=0))
+    level, highest = seen_light(brightness, question.deviation, scene.margin)
     if not _can_be_split(question):
-        return question, Picture(brightness, level, peak, None)
+        return question, Picture(brightness, level, highest, None)
     if not brightness.max(initial=0) > THRESHOLD * median_of(brightness):
-        return question, Picture(brightness, level, peak, None)
+        return question, Picture(brightness, level, highest, None)
     content, highlights = split_highlights(facts.samples.whole(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
         question = replace(question, facts=Facts(content))
-    return question, Picture(brightness, level, peak, highlights)
+    return question, Picture(brightness, level, highest, highlights)
 
 
 def _can_be_split(question):
