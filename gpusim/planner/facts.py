@@ -23,7 +23,7 @@ class Samples(Protocol):
         """Sums over wavelength by `total` (L,): float32 (rows, cols), a new array."""
 
     def whole(self) -> Content:
-        """All samples, in host memory."""
+        """All samples, in host memory; of a picture they may be its codes."""
 
 
 class OnHost:

@@ -13,6 +13,7 @@ from gpusim.planner.question import Question
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
 SMALL = 400  # samples along the frame of a field-varying lens, below which it varies within a kernel: errors are larger
 # than predicted, 1.5 to 5.4 times in random frames of 66 to 250
+HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
 
 REMEDIES = {"pyramid": "transforms would, so leave fft_free out",
@@ -67,7 +68,7 @@ def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings]
             break
         found += affordable
         tolerance = question.tolerance
-        if tolerance is None or any(SAFETY * option.total.ratio(tolerance) <= 1 for option in affordable):
+        if tolerance is None or any(HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1 for option in affordable):
             break  # more surroundings cost more
     return found
 
@@ -78,7 +79,7 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundin
     arounds: more surroundings than these options have.
     """
     tolerance = question.tolerance
-    if tolerance is None or any(SAFETY * option.total.ratio(tolerance) <= 1 for option in found):
+    if tolerance is None or any(HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1 for option in found):
         return ""
     best = min(found, key=lambda option: option.total.ratio(tolerance))
     rest = [bound for name, bound in best.bounds.items() if name != "border"]
@@ -96,7 +97,7 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
     """The cheapest option that meets the tolerance, or else the cheapest of the most accurate; without one the last."""
     if tolerance is None:
         return found[-1]
-    good = [option for option in found if SAFETY * option.total.ratio(tolerance) <= 1]
+    good = [option for option in found if HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1]
     if not good:
         least = min(option.total.ratio(tolerance) for option in found)
         good = [option for option in found if option.total.ratio(tolerance) <= NEAR * least]

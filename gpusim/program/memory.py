@@ -10,7 +10,9 @@ from gpusim.backends import Device
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
+from gpusim.planner.fusion import row_pairs
 from gpusim.planner.plan import Plan
+from gpusim.planner.probes import COUNT, SIDE
 
 
 def bytes_needed(plan: Plan, device: Device) -> int:
@@ -35,7 +37,14 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     if plan.varying is not None:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights))
-    return int(total + _sensor(plan) + _processor(plan))
+    return int(max(total + _sensor(plan) + _processor(plan), content.nbytes + _looked_at(plan)))
+
+
+def _looked_at(plan):
+    """What the planner reads of a scene on a device, before the frame: its brightness, and windows and rows of it."""
+    rows, cols = plan.content.shape
+    windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
+    return 4 * (rows * cols + len(plan.content.entry_spectra) * max(windows, 2 * cols * len(row_pairs(rows, cols))))
 
 
 def bytes_of_item(plan: Plan, output: str) -> int:

@@ -80,12 +80,12 @@ class Reading:
         return np.moveaxis(found, 0, -3).reshape(*entries, count * height, width)
 
     def whole(self) -> Content:
-        """All samples, in host memory. Raises BadData."""
+        """All samples, in host memory; of a picture its codes. Raises BadData."""
         def read(array):
             values = np.asarray(self.device.numpy(array))
             return values.astype(np.float32) if values.dtype == np.float16 else values  # NumPy is slow with halves
 
-        return self.content.with_samples(read).on_host()
+        return self.content.with_samples(read)
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,), such as the sum of all channels: float32 (rows, cols), a new array."""

@@ -62,7 +62,7 @@ def split(question: Question) -> tuple[Question, Picture]:
         return question, Picture(brightness, level, highest, None)
     if not brightness.max(initial=0) > THRESHOLD * median_of(brightness):
         return question, Picture(brightness, level, highest, None)
-    content, highlights = split_highlights(facts.samples.whole(), brightness, question.q.max(), scene.margin,
+    content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
         question = replace(question, facts=Facts(content))
