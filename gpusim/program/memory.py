@@ -13,6 +13,7 @@ from gpusim.kernels.optics.blur import BATCH
 from gpusim.planner.fusion import row_pairs
 from gpusim.planner.plan import Plan
 from gpusim.planner.probes import COUNT, SIDE
+from gpusim.program.reading import looked_at_there
 
 
 def bytes_needed(plan: Plan, device: Device) -> int:
@@ -37,14 +38,16 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     if plan.varying is not None:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights))
-    return int(max(total + _sensor(plan) + _processor(plan), content.nbytes + _looked_at(plan)))
+    total += _sensor(plan) + _processor(plan)
+    return int(total + (_looked_at(plan) if looked_at_there(device, scene) else 0))
 
 
 def _looked_at(plan):
-    """What the planner reads of a scene on a device, before the frame: its brightness, and windows and rows of it."""
+    """What the planner reads of a scene on a device, before the frame: its brightness, and windows or rows of it."""
     rows, cols = plan.content.shape
     windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
-    return 4 * (rows * cols + len(plan.content.entry_spectra) * max(windows, 2 * cols * len(row_pairs(rows, cols))))
+    entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (rows * cols)
+    return 4 * (rows * cols + entries * max(windows, 2 * cols * len(row_pairs(rows, cols))))
 
 
 def bytes_of_item(plan: Plan, output: str) -> int:

@@ -6,8 +6,6 @@ from functools import partial
 from math import prod
 from typing import Any
 
-import numpy as np
-
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -23,11 +21,10 @@ from gpusim.program.kept import Kept, One, same
 from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
 from gpusim.program.planning import planned_by
-from gpusim.program.reading import WHOLE, Reading
+from gpusim.program.reading import WHOLE, Reading, looked_at_there
 from gpusim.program.shots import Shots
 
 SAME = object()  # of `Program.update`: as it was
-LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
 
 
 @dataclasses.dataclass(eq=False, slots=True)
@@ -132,9 +129,7 @@ class Program:
     def _facts(self):
         """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
         device, scene, content = self.simulator.device, self.scene, self.scene.content
-        is_there = not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples)
-        if scene.depth is not None or device.kind == "numpy" or not (
-                is_there or LARGE <= content.nbytes <= device.largest_array):
+        if not looked_at_there(device, scene):
             return Facts.of(dataclasses.replace(scene, content=Reading(device, content).whole()))
         stored = self.before.kept("content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content))
         return Facts(content, None, Reading(device, content, stored))

@@ -7,12 +7,23 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.content import Basis, Content, Materials, Picture
 from gpusim.domain.foreign import type_of
+from gpusim.domain.scene import Scene
 from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
 
 WHOLE = (slice(None), slice(None))
+LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
+
+
+def looked_at_there(device: Device, scene: Scene) -> bool:
+    """Whether a device looks at a scene for the planner: one that is there, or large; else the host does."""
+    content = scene.content
+    if scene.depth is not None or device.kind == "numpy":
+        return False
+    is_there = not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples)
+    return is_there or LARGE <= content.nbytes <= device.largest_array
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):
