@@ -120,9 +120,13 @@ class Simulator:
         for number in range(first, first + count):
             yield shots.frame(seed=seed, frame=number, error=error, first=number == first)
 
-    def plan(self, scene: Scene, facts: Facts | None = None) -> Plan:
-        """What a frame of `scene` takes. facts: of it, where they are known. Raises BadData, DoesNotFit."""
-        return planned(self, scene, facts)
+    def plan(self, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
+        """What a frame of `scene` takes.
+
+        facts: of it, where they are known. exposure_time: [s], in place of the camera's. Raises BadData, DoesNotFit,
+        NotMet where the simulator is strict.
+        """
+        return planned(self, scene, facts, exposure_time)
 
     def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.

@@ -76,5 +76,5 @@ def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
     """
     speeds = Speeds(simulator.device) if speeds is None else speeds
     developer = Developer(plan.camera, simulator.device, edges=np.empty(0))
-    stages = [*simulator.readout.models(), *developer.models(), "processor.color", "display.encode"]
+    stages = [*simulator.readout.models(), *developer.models(), "sensor.meter", "processor.color", "display.encode"]
     return speeds.ms(of_plan(plan, stages))

@@ -25,11 +25,12 @@ class Operation:
         return max(self.seconds * self.size, 1e-30)
 
     @classmethod
-    def of(cls, camera, facts: Facts, weights, level: float, highest: float) -> "Operation":
+    def of(cls, camera, facts: Facts, weights, level: float, highest: float,
+           exposure_time: float | None = None) -> "Operation":
         """For the light of a scene.
 
         weights: of the channels, (C, L). level, highest: root mean square and maximum over the frame of the sums over
-        the channels, as the lens shows them.
+        the channels, as the lens shows them. exposure_time: given, in place of the camera's [s].
         """
         sensor, pairs = camera.sensor, facts.pairs
         rates = pairs.mixed(weights @ pairs.entry_spectra.T)
@@ -41,7 +42,7 @@ class Operation:
         looked = pairs.brightness(weights.sum(axis=0))
         light = float(np.sqrt(np.mean(np.square(looked, dtype=np.float64))))
         size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
-        seconds = sensor.exposure_time
+        seconds = sensor.exposure_time if exposure_time is None else exposure_time
         if seconds is None:
             dark = sensor.noise.dark_current * sensor.noise.warmth
             try:

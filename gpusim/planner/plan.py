@@ -16,6 +16,7 @@ from gpusim.planner.field import FieldBlur
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.models import field as field_
 from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
@@ -108,6 +109,12 @@ class Plan:
                 and all(getattr(own, name) == getattr(scene, name)
                         for name in ("border", "margin", "fov", "samples_per_pixel")))
 
+    def lasts(self, exposure_time: float | None) -> bool:
+        """Whether a tolerance that it meets is met by it at another exposure time [s], too; None: that of its own."""
+        if exposure_time is None or self.tolerance is None or self.verdict is None or not self.verdict.met:
+            return True
+        return self.account.at(exposure_time).verdict(self.tolerance).met
+
     def drift(self, survey) -> float | None:
         """Relative RMS error of the fused planes for a scene that this serves, by `spectral.survey`; None if exact."""
         return None if self.watch is None or survey is None else self.watch.error(survey)
@@ -138,7 +145,7 @@ class Plan:
 
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
          reach: int | None = None, fft_free: bool = False, period: tuple[int, int] | None = None,
-         kept: Kept = made_anew, facts: Facts | None = None) -> Plan:
+         kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
@@ -148,7 +155,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
     transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
     then. kept: gives what was made for plans before, see `Kept`; by default nothing. facts: of the scene, where they
-    were read before.
+    were read before. exposure_time: that it will be exposed for, where it is not the camera's own [s].
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
@@ -157,7 +164,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
                            reach=reach, fft_free=fft_free, period=period, kept=kept)
     question, picture = highlights.split(question)
-    notes, operation, probes = Notes(), picture.operation(question), None
+    notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
     if tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
         question = question.limited(probes)
@@ -178,7 +185,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     if one_distance:
         notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
     weights, planes = question.weights, seen.planes
-    account = Account(notes.bounds, operation.seconds)
+    account = Account(notes.bounds, operation.seconds, field_.doubt_of(question))
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,

@@ -128,8 +128,8 @@ class Probes:
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
         """Those of a scene; known: the rest."""
         bands = _bands(facts, windows, border)
-        means = bands[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
-        spectra = scipy.fft.rfft2((bands - means[..., None, None]).astype(np.float32), workers=-1)
+        means = bands[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3), dtype=np.float64)
+        spectra = scipy.fft.rfft2(bands - means[..., None, None].astype(np.float32), workers=-1)
         return cls(windows, spectra, means, **known)
 
     @cached_property
@@ -222,7 +222,8 @@ def _bands(facts, windows, border):
     """Spectra of the windows' samples, (n, L, SIDE, SIDE)."""
     rows, cols = facts.content.shape
     y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    bands = facts.samples.taken(y, x).bands_at(slice(None))
+    taken = facts.samples.taken(y, x)
+    bands = taken.planes if taken.is_spectral else taken.mixed(taken.entry_spectra.T.astype(np.float32))
     bands = bands.reshape(len(bands), -1, SIDE, SIDE).swapaxes(0, 1)
     if border == "zero":
         inside = ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]

@@ -11,8 +11,6 @@ from gpusim.planner.models.spectral import Way
 from gpusim.planner.question import Question
 
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
-SMALL = 400  # samples along the frame of a field-varying lens, below which it varies within a kernel: errors are larger
-# than predicted, 1.5 to 5.4 times in random frames of 66 to 250
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
 
@@ -57,12 +55,11 @@ def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings]
     fixed: errors of all. folds: function from surroundings to whether the mosaic folds into the transforms.
     """
     found: list[Option] = []
-    most, room = 0.0, max(1.0, SMALL / min(question.size)) if question.optics.varies else 1.0
+    most = 0.0
     for around in arounds:
         costs = [cost_of(question, way.count, around.period, folds(around)) for way in ways]
         most = most or costs[-1]
-        border = {"border": around.bound.times(room)}
-        affordable = [Option(way, around, fixed | {"planes": way.bound.times(room)} | border, cost)
+        affordable = [Option(way, around, fixed | {"planes": way.bound, "border": around.bound}, cost)
                       for way, cost in zip(ways, costs, strict=True) if cost <= most]
         if not affordable:
             break

@@ -32,7 +32,7 @@ def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
             sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
 
-def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
+def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
     """What a frame of `scene` takes: see `Simulator.plan`."""
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
@@ -41,7 +41,8 @@ def planned(simulator, scene: Scene, facts: Facts | None = None) -> Plan:
         raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
     simulator.readout.output_shape(scene.shape)
     made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
-                fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts)
+                fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts,
+                exposure_time=exposure_time)
     if simulator.strict and made.verdict is not None and not made.verdict.met:
         raise NotMet(f"{scene.name}: tolerance {made.verdict}")
     needed, largest = bytes_needed(made, device), largest_array(made)

@@ -119,10 +119,12 @@ class Program:
         simulator, scene, before = self.simulator, self.scene, self.before
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
-        if plan is None or not (plan.scene is scene or plan.serves(scene)) or not (
+        seconds = self._exposure_time
+        if plan is None or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds) or not (
                 by is camera or same(planned_by(by, asked), planned_by(camera, asked))):
             facts = before.kept("facts", One(scene), self._facts)
-            plan = before.kept("plan", (One(facts), One(simulator)), lambda: simulator.plan(scene, facts))
+            plan = before.kept("plan", (One(facts), One(simulator), seconds), lambda: simulator.plan(
+                scene, facts, seconds))
         before.plan = plan, camera
         return plan
 

@@ -34,9 +34,10 @@ class Picture:
         light = spread_afar(self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance)
         return float(np.sqrt(np.mean(light**2))) / self.level
 
-    def operation(self, question: Question) -> Operation:
-        """How the camera will expose it."""
-        return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest)
+    def operation(self, question: Question, exposure_time: float | None) -> Operation:
+        """How the camera will expose it. exposure_time: given, or None [s]."""
+        return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest,
+                            exposure_time)
 
     def describe(self, notes: Notes):
         """Say what was split off."""
