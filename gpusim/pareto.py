@@ -32,8 +32,9 @@ REPEATS, SECONDS = 5, 2.0  # frames of a point, at least, and the time that they
 def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     """One row per point.
 
-    Keys: point (its name), kind ("plan", "scipy" or "truth"), tolerance, ms, predicted_ms (of the whole frame, plans
-    alone), rms, p999_sigma, max_sigma (true), predicted (the rms), met, words. Raises as a simulation and `verify` do.
+    Keys: point (its name), kind ("plan", "exact", "scipy" or "truth"), tolerance, ms, predicted_ms (of the whole frame,
+    of plans alone), rms, p999_sigma, max_sigma (true), predicted (the rms), met, words. Raises as a simulation and
+    `verify` do.
     """
     require_truth(camera, scene)
     if camera.optics.varies:
@@ -60,7 +61,8 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
             continue
         seen.add(words)
         name = "exact" if tolerance is None else f"{tolerance:g}"
-        yield row(name, "plan", ms, mean, tolerance=tolerance, words=words, predicted=plan.account.total.rms,
+        kind = "exact" if tolerance is None else "plan"
+        yield row(name, kind, ms, mean, tolerance=tolerance, words=words, predicted=plan.account.total.rms,
                   met=plan.verdict and plan.verdict.met, predicted_ms=sum(frame_ms(simulator, plan, speeds).values()))
     for name, made in _naive(camera, scene, seconds).items():
         times: list[float] = []
@@ -148,11 +150,11 @@ def draw(rows: list[dict], path, title: str):
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
-    for kind, marker in (("plan", "o-"), ("scipy", "s"), ("truth", "*")):
+    for kind, marker in (("plan", "o-"), ("exact", "D"), ("scipy", "s"), ("truth", "*")):
         points = sorted((max(row["rms"], 1e-8), row["ms"], row["point"]) for row in rows if row["kind"] == kind)
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
-        for x, y, name in points:
-            axes.annotate(name, (x, y), textcoords="offset points", xytext=(5, 5), fontsize=8)
+        for number, (x, y, name) in enumerate(points):  # beside one another above and below
+            axes.annotate(name, (x, y), textcoords="offset points", xytext=(5, -12 if number % 2 else 5), fontsize=8)
     axes.set(xscale="log", yscale="log", xlabel="true relative RMS error of the mean electrons", ylabel="time [ms]",
              title=title)
     axes.grid(alpha=0.3, which="both")
