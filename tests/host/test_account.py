@@ -161,3 +161,21 @@ def test_a_plan_is_printed_and_written(tmp_path, capsys):
     for wrong in ("0", "-1", "nan", "soon"):
         assert main([*asked, "--tolerance", wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_lens_that_varies_over_a_small_frame_is_not_vouched_for():
+    """Though its predicted error is far within the tolerance."""
+    lateral = gs.Spectrum(np.array([400.0, 700.0]), np.array([-1e-3, 1e-3]))
+    camera = replace(PHONE, optics=replace(PHONE.optics, lateral_color=lateral))
+    verdict = gs.Simulator(camera, device="numpy", tolerance=0.5).plan(gs.chart("colorchecker", size=(96, 64))).verdict
+    assert not verdict.met and "varies over a frame of less than 400" in str(verdict)
+
+
+def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
+    """In the dark a picture errs by few sigmas; exposed longer, the same planes would break the tolerance."""
+    scene, simulator = gs.chart("deadleaves", size=(96, 64)), gs.Simulator(PHONE, device="numpy", tolerance="video")
+    short, long = (simulator.program(scene, seconds).plan for seconds in (1e-4, 0.1))
+    assert short.mix is None or short.mix.shape[1] <= long.mix.shape[1]
+    program = simulator.program(scene, 1e-4)
+    assert program.plan is program.plan
+    assert _cost(program.plan) < _cost(program.update(exposure_time=0.1).plan)

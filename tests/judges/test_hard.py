@@ -10,15 +10,12 @@ from gpusim.cli import main
 from gpusim.hard import case, hard
 
 LONG = {1, 2, 3, 4, 8, 13, 18, 19, 24, 28, 29}  # take more than about 5 s
-UNMET = {13: "small frames at f/4: 1.4e-3 where 7.4e-5 is predicted; the prediction takes kernels for alike nearby"}
 NUMBERS = [pytest.param(number, marks=pytest.mark.slow) if number in LONG else number for number in range(1, 31)]
 
 
 @pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("number", NUMBERS)
-def test_hard_case(number, device, request):
-    if number in UNMET:
-        request.applymarker(pytest.mark.xfail(reason=UNMET[number], strict=True))
+def test_hard_case(number, device):
     (row,) = hard(open_device(device), [number])
     assert row["ok"], f"{row['asked']}: got {row['got']:.3g} of {row['limit']:.3g}, {row['why']}"
 
