@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 from budget import budgeted
+from measured import SHARED_DATA
 
 DATA = Path(__file__).parent / "data"
-SHARED_DATA = Path(__file__).parents[1].parent / "shared" / "data"
 
 
 # PoCL and OpenBLAS of every worker take all processors: here they share them. PoCL two, so that work-groups meet.

@@ -3,6 +3,7 @@
 Every picture of `endless` is right to 6e-7 (reflect, q = 4; else 1e-7), as it and a transform of 1500 pixels agree.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -162,11 +163,15 @@ def edge_chart(border):
 
 
 @pytest.mark.parametrize("border", ["edge", "zero"])
-def test_a_tolerance_gets_its_surroundings(border):
-    """As many as it takes, more than the frame is long; the true error then keeps the tolerance, and says so."""
+def test_a_tolerance_says_which_surroundings_it_wants(border):
+    """More than the frame is long, dearer than the exact frame; asked for, the true error keeps it, and says so."""
     camera, scene = edge_chart(border)
-    report = gs.Simulator(camera, device="numpy", tolerance=3e-5)(scene, verify=True).report
-    assert report.meets_tolerance and report.error.rms > 1e-6  # the border is in it
+    verdict = gs.Simulator(camera, device="numpy", tolerance=3e-5).plan(scene).verdict
+    wanted = re.match(r"reach = (\d+) pixels would meet it, at about .* times the cost", verdict.remedy)
+    assert not verdict.met and verdict.by == "border" and wanted
+    simulator = gs.Simulator(camera, device="numpy", tolerance=3e-5, reach=int(wanted[1]))
+    report = simulator(scene, verify=True).report
+    assert report.verdict.met and report.meets_tolerance and report.error.rms > 1e-6  # the border is in it
     assert 1 / 2.5 < report.prediction_ratio < 2.5
     assert "tolerance: met: " in str(report) and " of 3e-05 rms" in str(report)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SHARED_DATA
 from endless import REACH, centred, kernel, picture
+from measured import SHARED_DATA
 from scipy.signal import fftconvolve
 
 sys.path.append(str(Path(__file__).parents[2] / "bench"))
