@@ -28,6 +28,9 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
     if plan.table is not None:
         stage = "spectral.integrate" if content.labels is None else "spectral.materials"
         work[stage] = content.nbytes + 4 * planes * samples
+    if plan.watch is not None:  # of every scene that it was not made for
+        entries = 1 if content.labels is not None else len(content.entry_spectra)
+        work["spectral.survey"] = len(plan.watch.first) * content.shape[1] * entries
     if plan.distortion is not None:
         work["optics.distort"] = planes * samples
     if plan.mix is not None:
@@ -70,6 +73,9 @@ def of_bench(stage: str, rows: int, cols: int) -> float:
         return inputs["content"].nbytes + 4 * len(inputs["weights"]) * pixels
     if stage == "spectral.materials":
         return inputs["ids"].nbytes + inputs["shading"].nbytes + 4 * len(inputs["table"]) * pixels
+    if stage == "spectral.survey":
+        entries, _, width = inputs["content"].shape
+        return float(len(inputs["first"]) * width * entries)
     if stage in ("optics.mosaic", "optics.blur"):
         return float(stage_module(stage).operations(**inputs))
     if stage == "optics.splat":
