@@ -31,7 +31,7 @@ class Speeds:
         """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
         if stage not in self.known:
             sizes = REFERENCE_SIZES if self.device.kind == "numpy" else SIZES
-            (low, small), (high, large) = ((of_bench(stage, *size), self._time(stage, *size)) for size in sizes)
+            (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]
             if self.cache is not None:
@@ -47,8 +47,8 @@ class Speeds:
             found[stage] = always + unit * amount
         return found
 
-    def _time(self, stage, rows, cols):
-        """Median milliseconds of a stage's benchmark with its arrays on the device."""
+    def _timed(self, stage, rows, cols):
+        """Work of a stage's benchmark, and its median milliseconds with its arrays on the device."""
         inputs = stage_module(stage).bench(rows, cols)
         resident = {key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
                     for key, value in inputs.items()}
@@ -59,7 +59,7 @@ class Speeds:
             with self.device.timed() as ms:
                 function(**resident, device=self.device)
             times.append(sum(ms.values()))
-        return float(np.median(times))
+        return of_bench(stage, inputs, rows, cols), float(np.median(times))
 
     def _read(self):
         try:

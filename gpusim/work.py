@@ -65,9 +65,8 @@ def _blur(plan, planes, samples, channels):
     return work
 
 
-def of_bench(stage: str, rows: int, cols: int) -> float:
-    """Work of the benchmark of a stage at this size."""
-    inputs = stage_module(stage).bench(rows, cols)
+def of_bench(stage: str, inputs: dict, rows: int, cols: int) -> float:
+    """Work of a stage's benchmark of this size; inputs: what its contract's `bench` gave."""
     pixels = float(rows * cols)
     if stage == "spectral.integrate":
         return inputs["content"].nbytes + 4 * len(inputs["weights"]) * pixels
@@ -81,9 +80,8 @@ def of_bench(stage: str, rows: int, cols: int) -> float:
     if stage == "optics.splat":
         return len(inputs["places"]) * float(max(rows, cols)) ** 2
     if stage == "optics.field":
-        tiles, (terms, size) = inputs["index"].shape, inputs["kernels"].shape[1:3]
+        (tiles, terms), size = inputs["index"].shape, inputs["kernels"].shape[-1]
         high, wide = (float(np.diff(edge).max()) + size - 1 for edge in inputs["edges"])
-        del terms
-        return 2.5 * tiles[0] * (tiles[1] + 1) * high * wide * np.log2(high * wide)
-    planes = next((value for key, value in inputs.items() if key in ("planes", "light", "lights")), None)
+        return tiles * (terms + 1) * fft.operations((high, wide))
+    planes = inputs.get("planes", inputs.get("lights"))
     return float(prod(planes.shape)) if planes is not None else pixels

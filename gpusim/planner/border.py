@@ -49,6 +49,13 @@ def rule_of(border: str) -> str:
     return "edge" if border == "scene" else border
 
 
+def border_indices(at, n: int, border: str) -> np.ndarray:
+    """Which of n samples each place of an axis shows, those beyond as the border says; "zero": the outermost."""
+    if border == "reflect":
+        return np.minimum(at % (2 * n), (-1 - at) % (2 * n))
+    return np.clip(at, 0, n - 1)
+
+
 def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5)) -> np.ndarray:
     """What a world without end adds to what a transform sees, at the cells of a coarse grid.
 
@@ -186,11 +193,8 @@ def _means(n, period, cells, border, wide):
     """Means over the cells of a world of `wide` periods, as weights of the image's n samples."""
     length, step = wide * period, period / cells
     at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
-    if border == "reflect":
-        source, light = np.minimum(at % (2 * n), (-1 - at) % (2 * n)), np.ones(length)
-    else:
-        source = np.clip(at, 0, n - 1)
-        light = (at == source) * 1.0 if border == "zero" else np.ones(length)
+    source = border_indices(at, n, border)
+    light = (at == source) * 1.0 if border == "zero" else np.ones(length)
     start = np.arange(length) / step  # a sample is in one cell, or partly in the next
     first = np.minimum((start * (1 + 1e-12)).astype(int), wide * cells - 1)
     share = np.clip((first + 1 - start) * step, 0, 1)

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.fft
 
 from gpusim.domain.account import Bound
+from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
 from gpusim.planner.fusion import SAMPLED_PERIOD
 
@@ -22,13 +23,6 @@ COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are few
 MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
 TOP = 0.03  # of the pixels, that hold the last thousandth of the frame's whatever the windows' weights
 EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
-
-
-def border_indices(at, n: int, border: str) -> np.ndarray:
-    """Which of n samples each place of an axis shows, those beyond as the border says; "zero": the outermost."""
-    if border == "reflect":
-        return np.minimum(at % (2 * n), (-1 - at) % (2 * n))
-    return np.clip(at, 0, n - 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from math import ceil
 import numpy as np
 
 from gpusim.domain.content import Content
+from gpusim.planner.border import border_indices
 from gpusim.planner.tables import Tables
 
 NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
@@ -68,10 +69,8 @@ def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: 
 def bordered(taps: Taps, samples: int, more: int, border: str) -> Taps:
     """Taps of `samples` from those of as many with `more` on each side, which are as `border` says."""
     at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more
-    inside = np.clip(at, 0, samples - 1)
+    inside = border_indices(at, samples, border)
     weights = np.where(at == inside, taps.weights, 0) if border == "zero" else taps.weights
-    if border == "reflect":  # the outermost sample is repeated
-        inside = np.minimum(at % (2 * samples), (-1 - at) % (2 * samples))
     count = int(np.ptp(inside, axis=1).max()) + 1
     start = np.minimum(inside.min(axis=1), samples - count)
     kept = np.zeros((len(at), count))

@@ -35,6 +35,10 @@ class Option:
         """All of its errors together."""
         return total(self.bounds.values())
 
+    def meets(self, tolerance: Tolerance) -> bool:
+        """Whether it is chosen for a tolerance: predicted to meet it, with headroom."""
+        return HEADROOM * SAFETY * self.total.ratio(tolerance) <= 1
+
 
 def cost_of(question: Question, count: int, period, folded: bool) -> float:
     """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
@@ -46,7 +50,8 @@ def cost_of(question: Question, count: int, period, folded: bool) -> float:
     transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
-    return (count + back) * transform + count * back * 8 * area * 0.5 + FLOP_PER_BYTE * read
+    products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
+    return (count + back) * transform + products + FLOP_PER_BYTE * read
 
 
 def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings], fixed: dict[str, Bound],
@@ -66,7 +71,7 @@ def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings]
             break
         found += affordable
         tolerance = question.tolerance
-        if tolerance is None or any(HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1 for option in affordable):
+        if tolerance is None or any(option.meets(tolerance) for option in affordable):
             break  # more surroundings cost more
     return found
 
@@ -77,7 +82,7 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundin
     arounds: more surroundings than these options have.
     """
     tolerance = question.tolerance
-    if tolerance is None or any(HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1 for option in found):
+    if tolerance is None or any(option.meets(tolerance) for option in found):
         return ""
     best = min(found, key=lambda option: option.total.ratio(tolerance))
     rest = [bound for name, bound in best.bounds.items() if name != "border"]
@@ -95,7 +100,7 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
     """The cheapest option that meets the tolerance, or else the cheapest of the most accurate; without one the last."""
     if tolerance is None:
         return found[-1]
-    good = [option for option in found if HEADROOM * SAFETY * option.total.ratio(tolerance) <= 1]
+    good = [option for option in found if option.meets(tolerance)]
     if not good:
         least = min(option.total.ratio(tolerance) for option in found)
         good = [option for option in found if option.total.ratio(tolerance) <= NEAR * least]

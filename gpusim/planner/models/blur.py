@@ -41,24 +41,21 @@ def describe(question: Question, form: str, words: str, has_depth: bool, notes: 
     notes.models[form] = words + ENDINGS[form]
 
 
-def refuses_to_leave_out(question: Question, picture: Picture) -> str | None:
-    """Why a blur is not left out whatever it errs, None where it may be."""
-    optics = question.optics
-    for why, is_so in (("it is asked for in a form", question.fft_free or question.period or question.reach),
-                       ("every spectrum is to be right", question.guaranteed),
-                       ("it goes by distance", question.facts.depth is not None),
-                       ("it varies over the field", optics.varies),
-                       ("points of light are added to it", picture.highlights is not None),
-                       ("the pixels are displaced by parts of samples", question.more and question.ratio == 1)):
-        if is_so:
-            return why
-    return None
+def _must_stay(question, picture):
+    """Whether a blur is not left out whatever that errs.
+
+    It is asked for in a form or for every spectrum; it goes by distance or place, where one window does not tell it;
+    points of light are added to it; or it is what displaces the pixels by parts of samples.
+    """
+    return (question.fft_free or question.period or question.reach or question.guaranteed
+            or question.facts.depth is not None or question.optics.varies or picture.highlights is not None
+            or (question.more and question.ratio == 1))
 
 
 def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
     """The question without the blur, where that errs little enough; else the same."""
     assert question.tolerance is not None
-    if refuses_to_leave_out(question, picture):
+    if _must_stay(question, picture):
         return question
     bound = total([probes.unblurred, probes.even_error(picture.from_afar(question, SIDE / 2))])
     if SAFETY * bound.ratio(question.tolerance) > 1:
