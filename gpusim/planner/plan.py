@@ -16,14 +16,15 @@ from gpusim.planner.field import FieldBlur
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
-from gpusim.planner.models import field as field_
+from gpusim.planner.models.field import doubt_of
 from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
-from gpusim.planner.search import Candidate, chosen, front, options, remedy
+from gpusim.planner.search import REMEDIES, Candidate, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
+STORED = 2.0**-24 / 3**0.5  # relative RMS of electrons stored as float32: evenly up to half of the last bit
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
 
 
@@ -145,7 +146,8 @@ class Plan:
 
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
          reach: int | None = None, fft_free: bool = False, period: tuple[int, int] | None = None,
-         kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
+         kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None,
+         single: bool = True) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
@@ -156,6 +158,8 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
     then. kept: gives what was made for plans before, see `Kept`; by default nothing. facts: of the scene, where they
     were read before. exposure_time: that it will be exposed for, where it is not the camera's own [s].
+    single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which
+    the electrons alone are rounded.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
@@ -171,8 +175,12 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
     by_depth, one_distance = depth.by_depth(question)
-    seen = _seen(question, picture, probes, operation, by_depth, notes) if question.is_blurred else _plain(
-        question, probes, notes)
+    name, rounding = "rounding", ROUNDING if single else STORED
+    if single and question.is_blurred:
+        name, rounding = "transforms", TRANSFORM_ERROR
+    fixed = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
+    seen = _seen(question, picture, probes, operation, by_depth, fixed, notes) if question.is_blurred else _plain(
+        question, fixed, notes)
     taps, spare = sampling.taps_of(question, seen.around.period if seen.around else None)
     depth.describe(by_depth, notes)
     picture.describe(notes)
@@ -185,7 +193,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     if one_distance:
         notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
     weights, planes = question.weights, seen.planes
-    account = Account(notes.bounds, operation.seconds, field_.doubt_of(question))
+    account = Account(notes.bounds, operation.seconds, doubt_of(question))
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,
@@ -208,19 +216,14 @@ class _Seen:
     remedy: str = ""
 
 
-def _plain(question, probes, notes):
-    if probes is not None:
-        notes.bounds["rounding"] = probes.even_error(ROUNDING)
-    return _Seen(spectral.unblurred(question, notes))
+def _plain(question, fixed, notes):
+    notes.bounds |= fixed
+    return _Seen(spectral.unblurred(question, notes), remedy=REMEDIES["rounding"])
 
 
-def _seen(question, picture, probes, operation, by_depth, notes):
-    """The best way to blur."""
+def _seen(question, picture, probes, operation, by_depth, fixed, notes):
+    """The best way to blur; fixed: errors of all ways."""
     tolerance = question.tolerance
-    if probes is None:
-        fixed = {"transforms": Bound(TRANSFORM_ERROR)}
-    else:
-        fixed = {"transforms": probes.even_error(TRANSFORM_ERROR)}
     if question.fft_free:
         fixed = {"pyramid": Bound(FFT_FREE_ERROR) if probes is None else probes.local(FFT_FREE_ERROR)}
     fixed |= notes.bounds | depth.bounds_of(by_depth, probes)

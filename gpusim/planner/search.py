@@ -17,6 +17,7 @@ NEAR = 1.1  # ways whose errors are within this factor are as good, where none i
 
 REMEDIES = {"pyramid": "transforms would, so leave fft_free out",
             "transforms": "float64 would, so use device numpy",
+            "rounding": "float64 would, so use device numpy",
             "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
             "depth": "a scene that gives its layers, or less depth, would be met"}
 

@@ -42,7 +42,7 @@ def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: 
     simulator.readout.output_shape(scene.shape)
     made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
                 fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts,
-                exposure_time=exposure_time)
+                exposure_time=exposure_time, single=device.kind != "numpy")
     if simulator.strict and made.verdict is not None and not made.verdict.met:
         raise NotMet(f"{scene.name}: tolerance {made.verdict}")
     needed, largest = bytes_needed(made, device), largest_array(made)

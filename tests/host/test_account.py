@@ -15,6 +15,7 @@ from gpusim.domain.errors import NotMet
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models.noise import without_negligible
+from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, Windows
 from gpusim.planner.search import cost_of
 
@@ -179,3 +180,15 @@ def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
     program = simulator.program(scene, 1e-4)
     assert program.plan is program.plan
     assert _cost(program.plan) < _cost(program.update(exposure_time=0.1).plan)
+
+
+def test_what_float32_cannot_hold_float64_does():
+    """As the remedy says: an even scene, of which nothing but rounding errs."""
+    wavelengths = np.arange(400.0, 701.0, 10.0)
+    flat = Scene(Cube(wavelengths, np.ones((31, 40, 50), np.float32)), unit_light(wavelengths))
+    tolerance = Tolerance(rms=1e-7)  # 2^-24 / 3^(1/2) is what storing leaves
+    verdict = plan(flat, PHONE, tolerance=tolerance).verdict
+    assert not verdict.met and verdict.by in ("rounding", "transforms") and "device numpy" in verdict.remedy
+    assert plan(flat, PHONE, tolerance=tolerance, single=False).verdict.met
+    frame = gs.Simulator(PHONE, device="numpy", tolerance=tolerance)(flat, verify=True)
+    assert frame.report.verdict.met and frame.report.meets_tolerance
