@@ -92,7 +92,7 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundin
         for around in arounds:
             if SAFETY * total([*rest, around.bound]).ratio(tolerance) <= 1:
                 times = cost_of(question, best.way.count, around.period, False) / best.cost
-                return f"reach = {around.reach} pixels would meet it, at about {times:.2g} times the cost"
+                return f"reach = {around.reach} pixels would meet it, at about {times:.3g} times the cost"
         return "no reach that transforms take meets it"
     return REMEDIES.get(by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met")
 
