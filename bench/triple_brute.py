@@ -107,7 +107,8 @@ def chord_spread(q: float, waves, y, x) -> np.ndarray:
 
     v = sin of an angle makes the sum over chords that of a smooth function; x is along u.
     """
-    count = int(np.pi * max(np.abs(y).max(), np.abs(x).max()) / q / 2 + 40 + 8 * np.abs(waves(0.7, 0.7)))
+    # Gauss takes half of the phase at the end in nodes, of the angle pi / 2 times as many
+    count = int(np.pi**2 / 4 * max(np.abs(y).max(), np.abs(x).max()) / q + 40 + 8 * np.abs(waves(0.7, 0.7)))
     t, mass = np.polynomial.legendre.leggauss(count)
     angles = np.pi / 2 * t
     v, half = np.sin(angles), np.cos(angles)

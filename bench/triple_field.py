@@ -1,11 +1,12 @@
 """A camera whose blur varies over the field, at single pixels: the continuation of triple_brute.py.
 
 The light of every sample is spread as at its own place, with the wavefront of Seidel there (Welford, chapter 7) and its
-own lateral colour. Spreads are polynomials in the place, of degree NODES - 1 within NEAR samples of the pixel; what
-comes from farther is spread as from there.
+own lateral colour; a pixel takes the mean of what it gathers, so that flat fields stay flat. Within NEAR samples of the
+pixel spreads are polynomials in the place, of degree NODES - 1; what comes from farther is spread as at the pixel.
 """
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 from triple_brute import (
     CLEAR,
     MODES,
@@ -23,7 +24,8 @@ from triple_brute import (
 
 from gpusim.domain.errors import OutOfRange
 
-NODES, NEAR = 4, 24  # places along an axis, and how far they go [sample]
+NODES, NEAR = 9, 40  # places along an axis, and how far they go [sample]
+SPARE = 8  # samples around what is looked at, where a transform repeats itself
 LEAST_Q = 0.7  # below, the sums over the pupil are too long
 
 
@@ -39,27 +41,38 @@ def seidel(coefficients, height, angle, scale):
     return waves
 
 
-def kernels_at(scene, camera, pixel, band, reach) -> tuple[np.ndarray, np.ndarray]:
-    """Kernels at NODES x NODES places around a pixel, shape (NODES, NODES, n, n), and the places [sample from it]."""
-    optics, pitch = camera.optics, camera.sensor.pixel_pitch
+def spread_from(scene, camera, place, band, reach) -> np.ndarray:
+    """Light that apertures around get of a point at `place` (row, column) of the frame, (2 reach + 1, 2 reach + 1)."""
+    optics, pitch, shape = camera.optics, camera.sensor.pixel_pitch, np.array(scene.shape)
     wavelength = scene.wavelengths[band]
-    q, shape = wavelength * 1e-9 * optics.f_number / pitch, np.array(scene.shape)
+    q = wavelength * 1e-9 * optics.f_number / pitch
     at, fine = fine_grid(q, reach)
     lateral = optics.lateral_color
     lateral = lateral if isinstance(lateral, float) else np.interp(wavelength, lateral.wavelengths, lateral.values)
-    steps = NEAR * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+    y, x = place - (shape - 1) / 2
+    waves = seidel(optics.wavefront.seidel, np.hypot(y, x) / (np.hypot(*shape) / 2), np.arctan2(y, x),
+                   CLEAR / wavelength)
     side = np.sqrt(camera.sensor.fill_factor)
-    found = np.empty((NODES, NODES, 2 * reach + 1, 2 * reach + 1))
+    return apertured(chord_spread(q, waves, at - lateral * y, at - lateral * x), fine, reach, (side, side), (0.0, 0.0))
+
+
+def gathered(scene, camera, pixel, band, reach) -> np.ndarray:
+    """What a pixel gets of a light of 1 at each sample around it, (2 reach + 1, 2 reach + 1)."""
+    limits = np.array([[-scene.margin] * 2, np.array(scene.shape) - 1 + scene.margin])
+    out = spread_from(scene, camera, np.array(pixel), band, reach)[::-1, ::-1]
+    first, last = np.clip(np.add(pixel, [[-NEAR] * 2, [NEAR] * 2]), *limits)  # places beyond are as the outermost
+    unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    places = [(one + other) / 2 + (other - one) / 2 * unit for one, other in zip(first, last, strict=True)]
+    near = np.zeros((2 * NEAR + 1, 2 * NEAR + 1))
+    basis = []
+    for at, one, other in zip(pixel, first, last, strict=True):
+        source = np.clip(at + np.arange(-NEAR, NEAR + 1), one, other)
+        basis.append(BarycentricInterpolator(unit, np.eye(NODES))((2 * source - one - other) / (other - one)))
     for i, j in np.ndindex(NODES, NODES):
-        place = np.clip(np.add(pixel, (steps[i], steps[j])), -scene.margin, shape - 1 + scene.margin)
-        y, x = place - (shape - 1) / 2
-        waves = seidel(optics.wavefront.seidel, np.hypot(y, x) / (np.hypot(*shape) / 2), np.arctan2(y, x),
-                       CLEAR / wavelength)
-        values = chord_spread(q, waves, at - lateral * y, at - lateral * x)
-        found[i, j] = apertured(values, fine, reach, (side, side), (0.0, 0.0))
-        if side < 1:  # as in triple_brute
-            found[i, j] /= found[i, j].sum() + energy_beyond(Spread(q), reach)
-    return found, steps
+        own = spread_from(scene, camera, np.array([places[0][i], places[1][j]]), band, NEAR + SPARE)
+        near += own[SPARE:-SPARE, SPARE:-SPARE][::-1, ::-1] * basis[0][:, i, None] * basis[1][:, j]
+    out[reach - NEAR : reach + NEAR + 1, reach - NEAR : reach + NEAR + 1] = near
+    return out
 
 
 def electrons_at(scene, camera, seconds: float, pixels) -> np.ndarray:
@@ -76,14 +89,12 @@ def electrons_at(scene, camera, seconds: float, pixels) -> np.ndarray:
         afar = np.zeros((1, *scene.content.shape))
         for band in np.flatnonzero(np.abs(share) > 1e-6 * share.max()):
             plane = spectra(scene.content, band)
-            afar += share[band] * q[band] * plane
             window = np.pad(plane, reach, mode=MODES[scene.border])[row + margin : row + margin + 2 * reach + 1,
                                                                     col + margin : col + margin + 2 * reach + 1]
-            found, steps = kernels_at(scene, camera, (row, col), band, reach)
-            at = np.clip(np.arange(-reach, reach + 1), -NEAR, NEAR)
-            basis = np.linalg.solve(np.vander(steps).T, np.vander(at, NODES).T)  # Lagrange's, (NODES, places)
-            out[number] += share[band] * np.einsum("yx,ijyx,iy,jx->", window, found[:, :, ::-1, ::-1], basis, basis,
-                                                   optimize=True)
+            found = gathered(scene, camera, (row, col), band, reach)
+            own = share[band] / (found.sum() + energy_beyond(Spread(q[band]), reach))
+            afar += own * q[band] * plane
+            out[number] += own * np.vdot(found, window)
         far = from_afar(afar, Spread(1.0), reach, scene.border, *(
             np.array([place + margin, place + margin + 1.0]) for place in (row, col)))
         y, x = (slope * (place - (n - 1) / 2) for place, n in zip((row, col), scene.shape, strict=True))

@@ -27,7 +27,7 @@ from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.domain.tolerance import Tolerance
 from gpusim.report import Error
 from gpusim.speeds import frame_ms
-from gpusim.truth import at_pixels, probe_pixels, require_truth, true_mean
+from gpusim.truth import require_truth, seen
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
 LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight
@@ -160,7 +160,8 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
         plan = exposure.plan
         account = plan.account.at(exposure.exposure_time)
         verdict = account.verdict(tolerance, plan.verdict.remedy)
-        mean, truth, pixels = seen(simulator, question.scene, exposure)
+        require_truth(question.camera, question.scene)
+        mean, truth = seen(simulator, question.scene, exposure)
     except GpusimError as refusal:
         return {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     error = Error.between(mean, truth, question.camera.sensor.read_sigma)
@@ -179,7 +180,7 @@ def judged(question, device: str, brute: bool = False, timed: bool = False) -> d
            "predicted_ms": sum(frame_ms(simulator, plan).values()) if timed else None,
            "exposure_time": exposure.exposure_time,
            "largest_e": float(mean.max())}
-    return row | (compared(question, exposure.exposure_time, mean, truth, pixels) if brute else {})
+    return row | (compared(question, exposure.exposure_time, mean, truth) if brute else {})
 
 
 def over(predicted: float | None, true: float) -> float | None:
@@ -187,34 +188,23 @@ def over(predicted: float | None, true: float) -> float | None:
     return predicted / true if predicted and true else None
 
 
-def seen(simulator, scene, exposure) -> tuple:
-    """Mean electrons of a frame, those of `gpusim.truth`, and the pixels of both, None for all: as `true_error`."""
-    require_truth(simulator.camera, scene)
-    mean = np.array(simulator.device.numpy(exposure.mean), np.float32)
-    of = type(simulator), simulator.camera, scene, exposure.plan, exposure.exposure_time
-    if exposure.plan.varying is None:
-        return mean, true_mean(*of), None
-    pixels = probe_pixels(scene.shape)
-    return mean[pixels[:, 0], pixels[:, 1]], at_pixels(*of, pixels), pixels
-
-
-def compared(question, seconds: float, mean, truth, pixels) -> dict:
+def compared(question, seconds: float, mean, truth) -> dict:
     """Relative RMS errors of the truth and of a frame against sums that share nothing with either.
 
-    Of a blur that varies over the field: at the first PROBES pixels.
+    Of a blur that varies over the field: at PROBES pixels.
     """
     import triple_brute
     import triple_field
 
     try:
-        if pixels is None:
-            own = triple_brute.mean_electrons(question.scene, question.camera, seconds)
+        if question.lens == "field":
+            pixels = np.random.default_rng(question.seed).integers(0, question.scene.shape, (PROBES, 2))
+            mean, truth = mean[tuple(pixels.T)], truth[tuple(pixels.T)]
+            own = triple_field.electrons_at(question.scene, question.camera, seconds, pixels)
         else:
-            mean, truth = mean[:PROBES], truth[:PROBES]
-            own = triple_field.electrons_at(question.scene, question.camera, seconds, pixels[:PROBES])
+            own = triple_brute.mean_electrons(question.scene, question.camera, seconds)
     except OutOfRange as refusal:
         return {"brute": {"refused": str(refusal)}}
-    own = own.reshape(truth.shape)
     return {"brute": {"truth": rms(truth, own), "frame": rms(mean, own),
                       "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma}}
 

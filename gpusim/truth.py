@@ -5,28 +5,23 @@ frames, and so does a transform of that length, exactly. Any other is transforme
 what lies beyond is smooth light from afar, and comes from a coarse grid (`gpusim.planner.border`). A pupil with
 straight blades throws it along their normals instead, too narrow for a coarse grid, which takes the mean over
 directions: with BLADES_REACH samples around the frame. Beyond a scene's own margin its outermost samples go on.
-
-Where the blur varies over the field, this is done at single pixels.
 """
 
 import dataclasses
 from math import ceil
-from typing import Any
 
 import numpy as np
 import scipy.fft
 
 from gpusim.domain.errors import OutOfRange
-from gpusim.optics.lens import open_lens, spread_radius, wavelength_nodes
-from gpusim.planner.border import at_samples, rule_of, tail_of, unseen
+from gpusim.optics.lens import spread_radius, tail_of
+from gpusim.planner.border import at_samples, rule_of, unseen
 from gpusim.report import Error
+from gpusim.truth_field import blocks, varying_rates
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
 RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least
 CELLS = 32  # of the coarse grid along the reach
-PROBES = 16  # pixels
-SIZE = 61  # of the kernels' differences from that on the axis [pixel]
-PLACES = 5  # along each axis of a kernel's reach: kernels are polynomials of degree 4 in their place
 
 
 def require_truth(camera, scene):
@@ -40,34 +35,20 @@ def require_truth(camera, scene):
 
 def true_error(simulator, scene, exposure) -> Error:
     """Error of an exposure's mean electrons; simulator: by which it was made. Raises DoesNotFit."""
+    return Error.between(*seen(simulator, scene, exposure), simulator.camera.sensor.read_sigma)
+
+
+def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
+    """Mean electrons of an exposure and their truth; of a large frame whose blur varies in parts of it, one row."""
     mean = np.array(simulator.device.numpy(exposure.mean), np.float32)
     of = type(simulator), simulator.camera, scene, exposure.plan, exposure.exposure_time
     if exposure.plan.varying is None:
-        truth = true_mean(*of)
-    else:
-        pixels = probe_pixels(scene.shape)
-        truth, mean = at_pixels(*of, pixels), mean[pixels[:, 0], pixels[:, 1]]
-    return Error.between(mean, truth, simulator.camera.sensor.read_sigma)
-
-
-def probe_pixels(shape) -> np.ndarray:
-    """Rows and columns of PROBES pixels spread over the frame, int (PROBES, 2): a Halton sequence.
-
-    Where the frame is large enough they are farther from its border than a kernel reaches.
-    """
-    def halton(base):
-        values = np.zeros(PROBES)
-        for k in range(PROBES):
-            number, part = k + 1, 1.0
-            while number:
-                part /= base
-                number, digit = divmod(number, base)
-                values[k] += part * digit
-        return values
-
-    fractions, shape = np.stack([halton(2), halton(3)], axis=1), np.array(shape)
-    margin = np.minimum(SIZE // 2, shape // 4)
-    return (margin + fractions * (shape - 2 * margin)).astype(int)
+        return mean, true_mean(*of)
+    parts = blocks(scene.shape)
+    found = varying_mean(*of, parts)
+    if len(parts) == 1:
+        return mean, found[0]
+    return np.concatenate([mean[part].ravel() for part in parts]), np.concatenate([one.ravel() for one in found])
 
 
 def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
@@ -78,6 +59,25 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
     """
     reference = _reference(simulator, camera, scene, plan)
     own = reference.plan(scene)
+    return reference.imaging.exposed(own, _rates(reference, camera, scene, own), exposure_time)
+
+
+def varying_mean(simulator, camera, scene, plan, exposure_time, parts) -> list[np.ndarray]:
+    """Mean electrons in parts of a frame whose blur varies over the field: see `true_mean` and `varying_rates`."""
+    plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
+    reference = _reference(simulator, plain, scene, plan)
+    own = reference.plan(scene)
+    planes, cfa = _rates(reference, plain, scene, own)
+    y, x = np.indices(scene.shape)
+    base = np.take_along_axis(planes, cfa[y % cfa.shape[0], x % cfa.shape[1]][None], 0)[0]
+    found = varying_rates(camera, scene, plan, reference.imaging.light(own), base, parts)
+    y, x = (plan.slope * (np.arange(n) - (n - 1) / 2) for n in scene.shape)
+    gain = (1 + y[:, None] ** 2 + x**2) ** -2 * (1.0 if plan.falloff is None else plan.falloff)
+    return [exposure_time * gain[part] * one for part, one in zip(parts, found, strict=True)]
+
+
+def _rates(reference, camera, scene, own):
+    """Electrons per second in a world without end, as `Imaging.rates` gives them; own: the reference's plan."""
     rates, cfa = reference.imaging.rates(own)
     border, tail = rule_of(scene.border), tail_of(camera.optics)
     if own.mix is not None and border != "reflect" and tail:
@@ -89,7 +89,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
         far = np.stack([at_samples(unseen(one, own.period, border, cell, tail, times=(3, 5, 7)), one.shape, own.period,
                                    rows, cols) for one in light])
         rates = rates + reference.imaging.pixels(own, far)
-    return reference.imaging.exposed(own, (rates, cfa), exposure_time)
+    return rates, cfa
 
 
 def _reference(simulator, camera, scene, plan):
@@ -107,47 +107,3 @@ def _reference(simulator, camera, scene, plan):
             reach = max(RADII * reach, ceil(RINGS * plan.q.max()), BLADES_REACH if optics.pupil.blades else REACH)
         period = [scipy.fft.next_fast_len(n + 2 * (reach + displaced), real=True) for n in shape]
     return simulator(camera, device="numpy", period=tuple(period))
-
-
-def at_pixels(simulator, camera, scene, plan, exposure_time, pixels) -> np.ndarray:
-    """Mean electrons at `pixels` (row, column), float64.
-
-    simulator, plan: as for `true_mean`. Each wavelength by itself: the whole frame with the lens as on the axis, and at
-    each pixel the light of all others around it, spread by the difference of their own kernels from that on the axis.
-    The scene has one sample per pixel.
-    """
-    plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
-    reference = _reference(simulator, plain, scene, plan)
-    base = true_mean(simulator, plain, scene, reference.plan(scene), exposure_time)
-    rows, cols = scene.shape
-    sensor = camera.sensor
-    lens = open_lens(camera.optics, sensor.pixel_pitch, np.array(sensor.aperture) / sensor.pixel_pitch, (rows, cols),
-                     sensor.displacement)
-    size = max(SIZE, lens.least_size // 2 * 2 + 1)
-    cfa, margin, half = camera.sensor.cfa_indices, scene.margin, size // 2
-    planes = reference.imaging.light(reference.plan(scene))
-    modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric", "scene": "edge"}
-    planes = np.pad(planes, ((0, 0), (half, half), (half, half)), mode=modes[scene.border])
-    corner = np.hypot(rows, cols) / 2
-    nodes, between = wavelength_nodes(scene.wavelengths)
-    axis = lens.kernels(nodes, (0.0, 0.0), size)
-    steps = np.linspace(-half, half, PLACES)
-    basis = np.linalg.solve(np.vander(steps).T, np.vander(np.arange(-half, half + 1), PLACES).T)  # Lagrange's
-    out = np.empty(len(pixels))
-    for k, (y, x) in enumerate(pixels):
-        channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
-        patch = planes[:, margin + y : margin + y + size, margin + x : margin + x + size]
-        patch = np.einsum("l,ln,lij->nij", plan.weights[channel], between, patch, optimize=True)
-        total = 0.0
-        for dy, along_y in zip(steps, basis, strict=True):
-            for dx, along_x in zip(steps, basis, strict=True):
-                # light outside the frame is spread as that of the nearest pixel of the planes
-                place = (np.clip(y + dy, -margin, rows - 1 + margin) - (rows - 1) / 2,
-                         np.clip(x + dx, -margin, cols - 1 + margin) - (cols - 1) / 2)
-                kernels = lens.kernels(nodes, np.array(place) / corner, size) - axis
-                # light at s gives its kernel's entry x - s
-                total += np.einsum("nij,nij,i,j->", patch, kernels[:, ::-1, ::-1], along_y, along_x, optimize=True)
-        v, u = (y - (rows - 1) / 2) * plan.slope, (x - (cols - 1) / 2) * plan.slope
-        falloff = (1 + u * u + v * v) ** -2 * (1.0 if plan.falloff is None else plan.falloff[y, x])
-        out[k] = base[y, x] + exposure_time * falloff * total
-    return out

@@ -36,11 +36,11 @@ class PupilLens:
     least_size = 1
 
     def kernels(self, wavelengths, place, size) -> np.ndarray:
-        """Energy of every pixel around a point at `place`, float64 (L, size, size), size odd, sum 1.
+        """Energy of every pixel around a point at `place`, float64 (L, size, size), size odd, of 1 in all the image.
 
         The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
-        Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. What falls
-        outside is left out before the sum is made 1.
+        Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
+        gaps, or lie on each other, share the light as if they tiled the image.
         """
         optics, (y, x) = self.optics, place
         wavelengths = np.asarray(wavelengths, np.float64)
@@ -53,7 +53,7 @@ class PupilLens:
             if optics.diffuser:
                 spectrum = scipy.ndimage.fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)
                 kernel[:] = np.fft.ifft2(spectrum).real
-        return out / out.sum(axis=(1, 2), keepdims=True)
+        return out
 
     def _kernel(self, q, wave, size, shift):
         points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
@@ -64,16 +64,34 @@ class PupilLens:
         path = np.polynomial.polynomial.polygrid2d(u, u, wave).T  # [y, x]
         aperture = (_coverage(self.optics.pupil, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
         mass = np.polynomial.legendre.leggauss(points)[1] / 2
-        energy = 0.0
+        energies = []
         spots = [self.optics.birefringence[axis] / self.pitch / 2 for axis in (0, 1)]
         for a in {-spots[0], spots[0]}:
             for b in {-spots[1], spots[1]}:
                 left, right = (_waves_to(size, points, width, move, count, q)
                                for width, move in zip(self.aperture, (shift[0] + a, shift[1] + b), strict=True))
                 field_ = left @ aperture @ right.T
-                energy = energy + (field_.real**2 + field_.imag**2)
-        energy = energy.reshape(size, points, size, points)
-        return np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
+                energies.append(field_.real**2 + field_.imag**2)
+        energy = sum(energies).reshape(size, points, size, points)
+        energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
+        inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(aperture).sum()
+        if q < 1 and any(width != 1 for width in self.aperture):
+            # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
+            whole = inside + whole * _energy_beyond(self.optics, q, wave, size)
+        return energy / whole
+
+
+def _energy_beyond(optics, q, wave, size):
+    """Share of the light that falls outside a kernel of this size, where that is beyond most rays.
+
+    It is q tail / r^3, or where the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 - b^2)^2), outside of a
+    square, which has the mean of 1 / r of a circle of 0.555 of its side.
+    """
+    radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    slopes = [np.polynomial.polynomial.polyval2d(np.cos(angle), np.sin(angle), np.polynomial.polynomial.polyder(
+        wave, axis=axis)) for axis in (0, 1)]
+    near = min(np.mean(4 * q * q * (slopes[0] ** 2 + slopes[1] ** 2)) / radius**2, 0.8)
+    return 2 * np.pi * tail_of(optics) * q / radius / (1 - near)
 
 
 @lru_cache(maxsize=32)
@@ -137,13 +155,25 @@ def wavelength_nodes(wavelengths):
     return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(NODES))(wavelengths)
 
 
-def spread_radius(optics: Optics, wavelengths, pitch) -> float:
-    """Largest distance from a point's image on the axis at which rays meet the image, or given spreads end [pixel]."""
+def spread_radius(optics: Optics, wavelengths, pitch, height: float = 0.0) -> float:
+    """Largest distance from a point's image at which rays meet the image, or given spreads end [pixel].
+
+    height: of the field, 0 on the axis.
+    """
     if optics.psf is not None:
         return max(optics.psf.values.shape[-2:]) * optics.psf.spacing / pitch / 2
     q = np.asarray(wavelengths) * 1e-9 * optics.working_f_number / pitch
-    waves = zip(q, optics.waves(wavelengths), strict=True)
+    waves = zip(q, optics.waves(wavelengths, height), strict=True)
     return max((2 * one * _steepest(wave) for one, wave in waves if wave.any()), default=0.0)
+
+
+def tail_of(optics: Optics) -> float:
+    """Energy per square sample times r^3 / q, far from a point; 0 of point spreads that are given, which end."""
+    if optics.psf is not None:
+        return 0.0
+    pupil = optics.pupil
+    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades) if pupil.blades else 2 * np.pi
+    return float((outline + 2 * np.pi * pupil.obscuration) / (np.pi * pupil.area) / (2 * np.pi**3))
 
 
 def _steepest(wave):

@@ -20,8 +20,6 @@ import numpy as np
 import scipy
 from scipy.special import j1
 
-from gpusim.domain.optics import Optics
-
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
@@ -33,15 +31,6 @@ POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 SPIKY = 10.0  # maximum over root mean square from which on a blur changes the latter
 FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
 GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
-
-
-def tail_of(optics: Optics) -> float:
-    """Energy per square sample times r^3 / q, far from a point; 0 of point spreads that are given, which end."""
-    if optics.psf is not None:
-        return 0.0
-    pupil = optics.pupil
-    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades) if pupil.blades else 2 * np.pi
-    return float((outline + 2 * np.pi * pupil.obscuration) / (np.pi * pupil.area) / (2 * np.pi**3))
 
 
 def rule_of(border: str) -> str:

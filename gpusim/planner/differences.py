@@ -11,7 +11,7 @@ SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 
 
 class Differences:
-    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to zero.
+    """Kernels of planes less those on the axis, as planner/field.py calls a lens; sums are the same at all places.
 
     What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
     differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
@@ -26,15 +26,19 @@ class Differences:
         self.lens, self.shape, self.corner = lens, shape, corner
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
+        gains = np.ones(len(self.nodes))
+        if isinstance(lens, PupilLens):
+            gains = (1 + lens.optics.lateral_color_at(self.nodes)) ** 2
+        self.more = self.mix * (gains - 1)
         self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
         self.size = self._enough(error)
-        self._axis = self._mixed((0.0, 0.0), self.size)
+        self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
         self._known: dict = {}
 
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
         middle = (np.array(self.shape) - 1) / 2
-        kernels = np.empty((len(places), *self._axis.shape))
+        kernels = np.empty((len(places), len(self.mix), self.size, self.size))
         for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - middle) / self.corner, strict=True):
             if self.mirrored:  # the other quadrants are mirror images
                 kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
@@ -45,11 +49,11 @@ class Differences:
     def _at(self, y, x):
         key = round(y, 9), round(x, 9)
         if key not in self._known:
-            self._known[key] = self._mixed((y, x), self.size) - self._axis
+            kernels = self.lens.kernels(self.nodes, (y, x), self.size)
+            whole = kernels / kernels.sum(axis=(1, 2), keepdims=True)
+            self._known[key] = (np.tensordot(self.mix, _even(kernels - self._axis), 1)
+                                + np.tensordot(self.more, whole, 1))
         return self._known[key]
-
-    def _mixed(self, place, size):
-        return np.tensordot(self.mix, self.lens.kernels(self.nodes, place, size), 1)
 
     def _enough(self, error):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
@@ -63,10 +67,15 @@ class Differences:
         whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
         for size in SIZES:
             if size >= least:
-                cut = (whole - axis)[None].copy()
+                cut = _even(whole - axis)[None]
                 inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
                 cut[..., inner, inner] = 0
                 if image_error(cut, np.zeros_like(cut))[0] <= error:
                     return size
         raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
                          "narrower ones; or a coarser pixel")
+
+
+def _even(differences):
+    """The same with sums of zero: what a lens spreads beyond the kernels on the axis, or elsewhere, is taken evenly."""
+    return differences - differences.mean(axis=(1, 2), keepdims=True)

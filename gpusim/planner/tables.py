@@ -50,7 +50,8 @@ class Tables:
             return self.exact(q, aperture, rows, cols, finer)
         lens = open_lens(optics, pitch / finer, aperture, (1, 1))
         wavelengths = q * 1e9 * pitch / finer / optics.working_f_number
-        tables = _transforms(lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1), rows, cols)
+        kernels = lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1)
+        tables = _transforms(kernels / kernels.sum(axis=(1, 2), keepdims=True), rows, cols)
         return np.ascontiguousarray(tables).view(np.float64)
 
 
@@ -59,7 +60,7 @@ def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
     chosen, between = wavelength_nodes(wavelengths)
     size = max(period - 1, lens.least_size)
     kernels = np.stack([np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1)
-    return _transforms(kernels, period, period)
+    return _transforms(kernels / kernels.sum(axis=(2, 3), keepdims=True), period, period)
 
 
 def _transforms(kernels, rows, cols):

@@ -125,7 +125,16 @@ class Imaging:
 
     def _blurred(self, plan, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""
-        device, border, margin = self.device, self._border(plan), plan.scene.margin
+        border = self._border(plan)
+        rates = self._blurred_alike(plan, planes, border)
+        if plan.varying is None:
+            return rates
+        return falloff(self._with_field(plan, planes, rates, border), self._evenness(plan, planes.shape),
+                       device=self.device)
+
+    def _blurred_alike(self, plan, planes, border):
+        """The same, where the blur varies over the field as on its axis."""
+        device, margin = self.device, plan.scene.margin
         # spare samples around the scene's own: the crop of the blur begins outside of them
         if plan.fft_free:
             rates = nearfar(planes, self.tables.levels(plan), plan.mix, border, device=device)
@@ -136,7 +145,7 @@ class Imaging:
                          margin=margin - plan.spare, device=device)
         else:
             rates = self._by_depth(plan, planes, border)
-        return rates if plan.varying is None else self._with_field(plan, planes, rates, border)
+        return rates
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""
@@ -182,6 +191,24 @@ class Imaging:
             transfer(self.device, varying.kernels, varying.edges)))
         return field(planes, mix=plan.mix, border=border, margin=plan.scene.margin - plan.spare, base=rates,
                      tables=tables, device=self.device, **inputs)
+
+    def _evenness(self, plan, shape):
+        """What keeps flat frames flat, of every channel and pixel: (C, rows, cols).
+
+        Pixels gather from places whose kernels differ; this is the rate of a flat field of the mean of the content's
+        entries over what they gather of that. shape: of the planes.
+        """
+        def gains():
+            levels = np.ones(shape[0]) if plan.table is None else plan.table.mean(axis=1)
+            flat = self.device.array(np.broadcast_to(levels[:, None, None], shape).astype(np.float32))
+            alike = self._blurred_alike(plan, flat, "edge")
+            alike = np.array(self.device.numpy(alike), np.float64)  # the field is added to it
+            found = self._with_field(plan, flat, self._blurred_alike(plan, flat, "edge"), "edge")
+            found = np.array(self.device.numpy(found), np.float64)
+            return self.device.array(np.divide(alike, found, where=found > 0, out=np.ones_like(found)))
+
+        assert plan.varying is not None
+        return self._kept("evenness", (plan.varying.kernels, *plan.varying.edges, plan.table, plan.mix), gains)
 
     def pixels(self, plan: Plan, rates):
         """Channels at the pixels from channels at the scene's samples."""

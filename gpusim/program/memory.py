@@ -37,7 +37,7 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 16 * len(plan.weights) * samples * len(plan.depth.kernels) * plan.depth.layers
     if plan.varying is not None:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
-        total += plan.varying.bytes_of_tiles(len(plan.weights))
+        total += plan.varying.bytes_of_tiles(len(plan.weights)) + 4 * samples * len(plan.weights)
     total += _sensor(plan) + _processor(plan)
     return int(total + (_looked_at(plan) if looked_at_there(device, scene) else 0))
 

@@ -14,7 +14,7 @@ from gpusim.planner.rendering import transforms_of, without_tone
 from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept, One
 from gpusim.report import Error, Report, StageReport, merged
-from gpusim.truth import PROBES
+from gpusim.truth_field import BLOCKS, SIDE, blocks
 
 HOT = 3.0  # [standard deviation of a read] of electrons beyond the common dark current: a pixel to be replaced
 
@@ -165,8 +165,9 @@ class Shots:
         if plan.planned_for:
             notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
                          "of the planes are of that")
-        if error is not None and plan.varying is not None:
-            notes.append(f"the true error is that of {PROBES} pixels: the blur varies over the field")
+        if error is not None and plan.varying is not None and len(blocks(scene.shape)) > 1:
+            notes.append(f"the true error is that of {BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over "
+                         "the field")
         return Report(
             {"name": scene.name, "rows": scene.shape[0], "cols": scene.shape[1], "form": scene.content.form,
              "border": scene.border, "samples_per_pixel": scene.samples_per_pixel,

@@ -58,7 +58,7 @@ def test_kernels_of_a_pupil_are_those_of_its_exact_transfer_function(name):
     A cell of a grid of N takes a ray for the mean of its own: at x pixels from the peak the image loses a share
     (pi x / q N)^2 / 3 of its light. The pupil's edge sends `edge` 2 q / (pi x)^2 dx there, `edge` its length over
     its area, 1 for a circle: within a square of reach R, whose border is 1.12 R away in the mean, `edge` 0.75 R / q N^2
-    in all. The sum is made 1, so that this is missing in the middle, and the peak, too high by as much, errs most.
+    in all. The sum is made that of all light within, so that this is missing in the middle, or too much.
     N is 6 to a cycle of the pupil's phase at the kernel's end, 3 size / q, and 32 more. Of the exact kernel the light
     beyond its period comes back over it, evenly.
     """
@@ -76,8 +76,8 @@ def test_kernels_of_a_pupil_are_those_of_its_exact_transfer_function(name):
     else:
         fold = np.minimum(np.arange(period), period - np.arange(period))
         exact = np.fft.ifft2(tables[:, fold[:, None], fold]).real
+    exact = exact / exact.sum(axis=(1, 2), keepdims=True)  # of gaps between apertures it knows
     exact = np.fft.fftshift(exact, axes=(1, 2))[:, 48:79, 48:79]
-    exact = exact / exact.sum(axis=(1, 2), keepdims=True)
     kernels = lens.kernels(wavelengths, place, size)
     edge = {"polygon": 1.47}.get(name, 1.0)  # (6 + 2 pi 0.2) / (3 sqrt(3) / 2 - pi 0.2^2), half of it
     for q, kernel, wanted in zip(wavelengths * 1e-9 * 2.8 / 1.4e-6, kernels, exact, strict=True):

@@ -10,8 +10,8 @@ from scipy.special import j0, j1
 from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
-from gpusim.optics.lens import spread_radius
-from gpusim.planner.border import BORDER_REACH, Outside, most_reach, tail_of
+from gpusim.optics.lens import spread_radius, tail_of
+from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture

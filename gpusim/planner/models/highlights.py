@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.planner.border import rule_of, seen_light, spread_afar, tail_of
+from gpusim.optics.lens import tail_of
+from gpusim.planner.border import rule_of, seen_light, spread_afar
 from gpusim.planner.facts import Facts
 from gpusim.planner.highlights import THRESHOLD, Highlights, median_of, split_highlights, unsplit_error
 from gpusim.planner.notes import Notes
