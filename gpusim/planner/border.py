@@ -71,7 +71,7 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
     steps = [length / count for length, count in zip(period, cells, strict=True)]
 
     widest = max(times)
-    down, across = (_means(n, length, count, border, widest).astype(image.dtype)
+    down, across = (_means(n, length, count, border, widest, image.dtype)
                     for n, length, count in zip(image.shape, period, cells, strict=True))
     world = (across @ (down @ image).T).T
 
@@ -95,15 +95,16 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
     down, across = (_between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
                     for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True))
-    return down @ coarse @ across.T
+    return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
 
 
 @lru_cache(maxsize=32)
 def _between(count, places):
-    """Weights of `count` cells, which repeat themselves, at places between them by cubic splines, (places, cells)."""
-    places = np.frombuffer(places)
-    return np.stack([scipy.ndimage.map_coordinates(cell, places[None], order=3, mode="grid-wrap")
-                     for cell in np.eye(count)], axis=1)
+    """Weights of the coefficients of a cubic spline through `count` cells, which repeat themselves, at places."""
+    places = np.frombuffer(places)[None]
+    return scipy.sparse.csr_array(np.stack([
+        scipy.ndimage.map_coordinates(cell, places, order=3, mode="grid-wrap", prefilter=False)
+        for cell in np.eye(count)], axis=1))
 
 
 def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
@@ -128,8 +129,7 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
     cell, reach = distance / CELLS, int(FARTHEST * CELLS)
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
     cells = [max(1, round(n / cell)) for n in image.shape]
-    down, across = (_means(n, n, count, "edge", 1).astype(image.dtype)
-                    for n, count in zip(image.shape, cells, strict=True))
+    down, across = (_means(n, n, count, "edge", 1, image.dtype) for n, count in zip(image.shape, cells, strict=True))
     coarse = (across @ (down @ image).T).T.astype(np.float64)
     world = np.pad(coarse, reach, mode=modes[border])
     at = np.arange(-reach, reach + 1)
@@ -199,8 +199,8 @@ def _inside(image, margin):
 
 
 @lru_cache(maxsize=32)
-def _means(n, period, cells, border, wide):
-    """Means over the cells of a world of `wide` periods, as weights of the image's n samples."""
+def _means(n, period, cells, border, wide, dtype):
+    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of this type."""
     length, step = wide * period, period / cells
     at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
     source = border_indices(at, n, border)
@@ -210,7 +210,7 @@ def _means(n, period, cells, border, wide):
     share = np.clip((first + 1 - start) * step, 0, 1)
     entries = np.concatenate([light * share, light * (1 - share)]) / step
     places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
-    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n))
+    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
 
 
 @lru_cache(maxsize=32)
