@@ -71,6 +71,11 @@ class Content:
         return sum(self.stored_type(name).itemsize * prod(getattr(self, name).shape) for name in self.samples)
 
     @property
+    def is_seen(self) -> bool:
+        """Whether the values of all its samples are looked at on the host."""
+        return all(is_seen(getattr(self, name)) for name in self.samples)
+
+    @property
     def lit(self) -> np.ndarray:
         """Whether there may be light at each wavelength, bool (L,)."""
         return np.asarray(self.entry_spectra.any(axis=0))
@@ -96,9 +101,9 @@ class Content:
         """The same with `change(array)` in place of each array of samples."""
         return replace(self, **{name: change(getattr(self, name)) for name in self.samples})
 
-    def take(self, rows, cols):
-        """Content of which each sample is that at (rows, cols), two arrays of one shape."""
-        return self.with_samples(lambda array: array[..., rows, cols])
+    def take(self, rows, cols=None):
+        """Content of which each sample is that at (rows, cols), two arrays of one shape; of whole rows (n,) alone."""
+        return self.with_samples(lambda array: array[..., rows, :] if cols is None else array[..., rows, cols])
 
     def behind(self, front, mask):
         """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""
@@ -121,8 +126,11 @@ class Content:
         return all(own is its or np.array_equal(own, its) for own, its in pairs)
 
     def mixed(self, rates, rows=slice(None)):
-        """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols)."""
-        return np.tensordot(rates, self.planes[:, rows].astype(np.float64), 1)
+        """What samples of whole rows give where one unit of each entry gives `rates` (C, entries): (C, rows, cols).
+
+        In the type of the rates.
+        """
+        return np.tensordot(rates, self.planes[:, rows].astype(rates.dtype, copy=False), 1)
 
     def bands_at(self, rows) -> np.ndarray:
         """Spectra of whole rows, float64 (L, rows, cols)."""
@@ -289,7 +297,9 @@ class Materials(Content):
         return np.dtype(np.uint16 if name == "ids" else np.float32)
 
     def mixed(self, rates, rows=slice(None)):
-        return rates[:, self.ids[rows]] * self.shading[rows]
+        light = np.take(rates, self.ids[rows], axis=1)
+        light *= self.shading[rows]
+        return light
 
     def used(self, rows=slice(None)):
         return np.bincount(self.ids[rows].ravel(), self.shading[rows].ravel(), len(self.spectra))
@@ -298,7 +308,7 @@ class Materials(Content):
         return (weights @ self.entry_spectra.T)[:, self.ids[window]] * self.shading[window]
 
     def brightness(self, total):
-        return (self.spectra @ total).astype(np.float32)[self.ids] * self.shading
+        return np.take((self.spectra @ total).astype(np.float32), self.ids) * self.shading
 
     def points(self, rows, cols):
         used, light = np.unique(self.ids[rows, cols], return_inverse=True)
@@ -363,7 +373,7 @@ class Picture(Content):
     def with_planes(self, planes):
         return self.on_host().with_planes(planes)
 
-    def take(self, rows, cols):
+    def take(self, rows, cols=None):
         return self.on_host().take(rows, cols)
 
     def behind(self, front, mask):

@@ -1,6 +1,7 @@
 """The lens: from scene radiance to the irradiance at the sensor."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -133,14 +134,14 @@ class Optics:
             return self.lateral_color.at(wavelengths, outside=None)
         return np.full(np.shape(wavelengths), float(self.lateral_color))
 
-    @property
+    @cached_property
     def is_ideal(self) -> bool:
         """Whether nothing but the diffraction at a clear circle blurs the image."""
         return (self.model != "measured" and self.pupil == Pupil() and not any(self.birefringence)
                 and self.diffuser == 0 and not self.waves(np.array([550.0])).any()
                 and (self.defocus == 0 if not isinstance(self.defocus, Spectrum) else not self.defocus.values.any()))
 
-    @property
+    @cached_property
     def is_symmetric(self) -> bool:
         """Whether the blur on the axis is even along rows and columns because it is the same at every angle."""
         return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))

@@ -60,7 +60,7 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
     steps = [length / count for length, count in zip(period, cells, strict=True)]
 
     widest = max(times)
-    down, across = (_means(n, length, count, border, widest).astype(image.dtype)
+    down, across = (_means(n, length, count, border, widest, image.dtype)
                     for n, length, count in zip(image.shape, period, cells, strict=True))
     world = (across @ (down @ image).T).T
 
@@ -68,9 +68,11 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
         """The middle period of a world that repeats itself after `wide` of them."""
         around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
         part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
-        spectrum = np.fft.rfft2(part) * _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc)
+        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc)
+        spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
-        return np.fft.irfft2(spectrum, part.shape)[y : y + cells[0], x : x + cells[1]]
+        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
+        return scipy.fft.irfft(rows, part.shape[1])[:, x : x + cells[1]]
 
     worlds = {wide: blurred(wide) for wide in {1, *times}}
     columns = np.array(times, float)[:, None] ** -np.array((0.0, *powers))
@@ -80,9 +82,18 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
     """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
-    places = [((length - n) // 2 + at + 0.5) * count / length - 0.5
-              for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True)]
-    return scipy.ndimage.map_coordinates(coarse, np.meshgrid(*places, indexing="ij"), order=3, mode="grid-wrap")
+    down, across = (_between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
+                    for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True))
+    return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
+
+
+@lru_cache(maxsize=32)
+def _between(count, places):
+    """Weights of the coefficients of a cubic spline through `count` cells, which repeat themselves, at places."""
+    places = np.frombuffer(places)[None]
+    return scipy.sparse.csr_array(np.stack([
+        scipy.ndimage.map_coordinates(cell, places, order=3, mode="grid-wrap", prefilter=False)
+        for cell in np.eye(count)], axis=1))
 
 
 def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
@@ -91,9 +102,9 @@ def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
     deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample].
     """
     inside = _inside(image, margin)
-    level, highest = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size), inside.max(initial=0)
+    level, highest = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size), inside.max(initial=0)
     if highest <= SPIKY * level or not deviation:
-        return level, float(highest)
+        return float(level), float(highest)
     blurred = scipy.ndimage.gaussian_filter(inside, deviation)
     return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
 
@@ -107,8 +118,7 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
     cell, reach = distance / CELLS, int(FARTHEST * CELLS)
     modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
     cells = [max(1, round(n / cell)) for n in image.shape]
-    down, across = (_means(n, n, count, "edge", 1).astype(image.dtype)
-                    for n, count in zip(image.shape, cells, strict=True))
+    down, across = (_means(n, n, count, "edge", 1, image.dtype) for n, count in zip(image.shape, cells, strict=True))
     coarse = (across @ (down @ image).T).T.astype(np.float64)
     world = np.pad(coarse, reach, mode=modes[border])
     at = np.arange(-reach, reach + 1)
@@ -161,7 +171,7 @@ class Outside:
         error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
         y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
-        local = light[y[:, None, :, None], x[None, :, None, :]].mean(axis=(2, 3), dtype=np.float64)
+        local = light[y].mean(axis=1)[:, x].mean(axis=2)
         sigmas = error / np.sqrt(np.maximum(local / self.level, 0) + self.noise)
         return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
@@ -178,8 +188,8 @@ def _inside(image, margin):
 
 
 @lru_cache(maxsize=32)
-def _means(n, period, cells, border, wide):
-    """Means over the cells of a world of `wide` periods, as weights of the image's n samples."""
+def _means(n, period, cells, border, wide, dtype):
+    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of this type."""
     length, step = wide * period, period / cells
     at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
     source = border_indices(at, n, border)
@@ -189,7 +199,7 @@ def _means(n, period, cells, border, wide):
     share = np.clip((first + 1 - start) * step, 0, 1)
     entries = np.concatenate([light * share, light * (1 - share)]) / step
     places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
-    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n))
+    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
 
 
 @lru_cache(maxsize=32)

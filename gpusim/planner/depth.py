@@ -112,12 +112,15 @@ class DepthPlan:
 
 
 def flattened(scene: Scene):
-    """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half."""
-    content, depth = scene.content, scene.depth
+    """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half.
+
+    Of content that can be read on the host, where the content is then.
+    """
+    content, depth = scene.content.on_host(), scene.depth
     for layer in reversed(scene.layers):
         front = np.asarray(layer.alpha) >= 0.5
         depth = np.where(front, layer.depth, depth)  # type: ignore[arg-type]  # Scene has checked
-        content = content.behind(layer.content, front)
+        content = content.behind(layer.content.on_host(), front)
     return content, depth
 
 

@@ -16,8 +16,8 @@ from gpusim.planner.sampling import Moments, moments
 class Samples(Protocol):
     """What is read of a content, which may be on a device: see `gpusim.program.reading.Reading`."""
 
-    def taken(self, rows, cols) -> Content:
-        """Windows of the samples, one above the other, in host memory; rows (n, h) and cols (n, w), int."""
+    def taken(self, rows, cols=None) -> Content:
+        """Windows of the samples, one above the other, in host memory; rows (n, h) and cols (n, w), int, or all."""
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), a new array."""
@@ -32,8 +32,10 @@ class OnHost:
     def __init__(self, content: Content):
         self._content = content
 
-    def taken(self, rows, cols) -> Content:
+    def taken(self, rows, cols=None) -> Content:
         """See `Samples`."""
+        if cols is None:
+            return self._content.take(rows.ravel())
         return self._content.take(rows.reshape(-1, 1), np.repeat(cols, rows.shape[1], axis=0))
 
     def brightness(self, total) -> np.ndarray:
@@ -54,16 +56,14 @@ class Facts:
     def __init__(self, content: Content, depth: np.ndarray | None = None, samples: Samples | None = None):
         self.content, self.depth, self.samples = content, depth, samples or OnHost(content)
         self._brightness: tuple[bytes, np.ndarray] | None = None
-        self._moments: tuple[bytes, Moments] | None = None
+        self._channels: tuple[bytes, np.ndarray] | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
         """Those of the picture that a scene shows."""
-        content = scene.content.on_host()
-        layers = tuple(replace(layer, content=layer.content.on_host()) for layer in scene.layers)
-        if content is not scene.content or any(a.content is not b.content
-                                               for a, b in zip(layers, scene.layers, strict=True)):
-            scene = replace(scene, content=content, layers=layers)
+        if not all(content.is_seen for content in (scene.content, *(layer.content for layer in scene.layers))):
+            layers = tuple(replace(layer, content=layer.content.on_host()) for layer in scene.layers)
+            scene = replace(scene, content=scene.content.on_host(), layers=layers)  # which looks at the values
         return cls(*flattened(scene))
 
     @cached_property
@@ -71,8 +71,7 @@ class Facts:
         """Evenly spaced pairs of neighbouring rows, one above the other, in host memory."""
         rows, cols = self.content.shape
         first = row_pairs(rows, cols)
-        both = np.stack([first, np.minimum(first + 1, rows - 1)], axis=1)
-        return self.samples.taken(both, np.broadcast_to(np.arange(cols), (len(first), cols)))
+        return self.samples.taken(np.stack([first, np.minimum(first + 1, rows - 1)], axis=1).reshape(1, -1))
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -86,9 +85,14 @@ class Facts:
             found = self._brightness = key, self.samples.brightness(total)
         return found[1].copy()
 
+    def channels(self, weights) -> np.ndarray:
+        """What the pairs give to channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
+        key, found = weights.tobytes(), self._channels
+        if found is None or found[0] != key:
+            table = weights @ self.pairs.entry_spectra.T
+            found = self._channels = key, self.pairs.mixed(table.astype(np.float32)).astype(np.float64)
+        return found[1]
+
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
-        key, found = weights.tobytes(), self._moments
-        if found is None or found[0] != key:
-            found = self._moments = key, moments(self.pairs, weights)
-        return found[1]
+        return moments(self.pairs, self.channels(weights))

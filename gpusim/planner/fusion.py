@@ -110,7 +110,7 @@ class Spectra:
         """Moments of a content in host memory, from evenly spaced pairs of rows, about SAMPLES pixels in all."""
         first = row_pairs(*content.shape)
         both = np.stack([first, np.minimum(first + 1, content.shape[0] - 1)], axis=1)
-        return cls.of_pairs(content.take(both.reshape(-1, 1), np.arange(content.shape[1])))
+        return cls.of_pairs(content.take(both.ravel()))
 
     @classmethod
     def of_pairs(cls, pairs: Content) -> "Spectra":
@@ -120,16 +120,20 @@ class Spectra:
         """
         entries = pairs.entry_spectra
         if pairs.labels is not None:  # of the materials that are there
-            used, ids = np.unique(pairs.labels, return_inverse=True)
+            there = np.bincount(pairs.labels.ravel().astype(int)) > 0
+            used, ids = np.flatnonzero(there), np.take(np.cumsum(there) - 1, pairs.labels)
             if len(used) > MOST_ENTRIES:
                 pairs, entries = Cube(pairs.wavelengths, pairs.bands_at(slice(None))), np.eye(len(pairs.wavelengths))
             else:
-                labelled = ids.reshape(pairs.shape), np.asarray(pairs.planes, np.float64)
+                labelled = ids, np.asarray(pairs.planes, np.float64)
                 return cls(*_labelled_moments(*labelled, entries[used]))
-        planes = pairs.planes.astype(np.float64)
-        upper, lower = planes[:, ::2], planes[:, 1::2]
-        across, values = np.diff(upper, axis=2), _moment(upper)
-        differences = _moment(lower - upper) + (_moment(across) if across.size else 0)
+        lines, cols = pairs.planes.swapaxes(0, 1), pairs.shape[1]
+        values, differences = np.zeros((2, len(entries), len(entries)))
+        for upper, lower in zip(lines[::2].astype(np.float64), lines[1::2], strict=True):  # each in the cache
+            across, down = np.diff(upper), lower - upper
+            values += upper @ upper.T / cols
+            differences += across @ across.T / max(cols - 1, 1) + down @ down.T / cols
+        values, differences = 2 / len(lines) * values, 2 / len(lines) * differences
         if pairs.is_spectral:
             return cls(values, differences)
         return cls(entries.T @ values @ entries, entries.T @ differences @ entries)
@@ -162,11 +166,6 @@ def row_pairs(rows: int, cols: int) -> np.ndarray:
     """
     count = min(max(rows - 1, 1), max(8, SAMPLES // cols))
     return np.unique(np.linspace(0, max(rows - 2, 0), count).astype(int))
-
-
-def _moment(bands):
-    bands = bands.reshape(len(bands), -1)
-    return bands @ bands.T / bands.shape[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,15 +32,14 @@ class Operation:
         weights: of the channels, (C, L). level, highest: root mean square and maximum over the frame of the sums over
         the channels, as the lens shows them. exposure_time: given, in place of the camera's [s].
         """
-        sensor, pairs = camera.sensor, facts.pairs
-        rates = pairs.mixed(weights @ pairs.entry_spectra.T)
+        sensor, rates = camera.sensor, facts.channels(weights)
+        looked = rates.sum(axis=0)
         if not sensor.stacked:
             cfa = sensor.cfa_indices
             rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
             channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
             rates = np.take_along_axis(rates, channel[None], 0)
-        looked = pairs.brightness(weights.sum(axis=0))
-        light = float(np.sqrt(np.mean(np.square(looked, dtype=np.float64))))
+        light = float(np.sqrt(np.mean(looked**2)))
         size = float(np.sqrt(np.mean(rates**2))) * (level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time if exposure_time is None else exposure_time
         if seconds is None:

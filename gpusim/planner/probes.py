@@ -21,7 +21,6 @@ SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count,
 INNER = SIDE - 2 * RIM
 COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
 MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
-TOP = 0.03  # of the pixels, that hold the last thousandth of the frame's whatever the windows' weights
 EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
 
 
@@ -42,11 +41,8 @@ class Windows:
     @classmethod
     def of(cls, brightness, margin: int, border: str, count: int) -> "Windows":
         """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols)."""
-        starts, steps = _steps(brightness, margin, border)
-        tiles = [steps[y][:, x : x + INNER] for y in starts[0] for x in starts[1]]
-        energy = np.array([np.square(tile).mean(dtype=np.float64) for tile in tiles])
-        largest = np.array([tile.max() for tile in tiles])
-        chance = np.full(len(tiles), 1 / len(tiles))
+        starts, (energy, largest) = _edges(brightness, margin, border)
+        chance = np.full(len(energy), 1 / len(energy))
         if energy.sum() > 0:
             chance = EDGES * energy / energy.sum() + (1 - EDGES) * chance
         drawn, times = _drawn(chance, count)
@@ -58,14 +54,15 @@ class Windows:
                    float(largest.max() / seen) if seen > 0 else 1.0)
 
 
-def _steps(brightness, margin, border):
-    """First samples of windows' inner parts along both axes, and steps to neighbours in some rows of each, by row.
+def _edges(brightness, margin, border):
+    """First samples of windows' inner parts along both axes; mean square and largest step to neighbours in each one.
 
-    A dark world around the frame is a step, too.
+    By some of their rows; both are in one line, row by row. A dark world around the frame is a step, too.
     """
     rows, cols = (n - 2 * margin for n in brightness.shape)
     starts = [_starts(n) for n in (rows, cols)]
-    stride, steps = max(1, round(brightness.size / MOST_STEPS)), {}
+    stride, found = max(1, round(brightness.size / MOST_STEPS)), []
+    ends = np.stack([starts[1], np.minimum(starts[1] + INNER, cols)], axis=1)
     for y in starts[0]:
         at = margin + np.arange(y, min(y + INNER, rows), stride)
         line, below = brightness[at], brightness[np.minimum(at + 1, len(brightness) - 1)]
@@ -79,8 +76,12 @@ def _steps(brightness, margin, border):
             for edge, row in ((0, 0), (rows - 1, -1)):
                 if y <= edge < y + INNER:
                     step[row] = np.maximum(step[row], brightness[edge])
-        steps[y] = step
-    return starts, steps
+        lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
+        # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
+        found.append([by.reduceat(np.append(line, 0), ends.ravel())[::2]
+                      for by, line in zip((np.add, np.maximum), lines, strict=True)])
+    energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
+    return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
 
 
 def _starts(n):
@@ -121,20 +122,19 @@ class Probes:
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
         """Those of a scene; known: the rest."""
-        bands = _bands(facts, windows, border)
-        means = bands[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3), dtype=np.float64)
-        spectra = scipy.fft.rfft2(bands - means[..., None, None].astype(np.float32), workers=-1)
-        return cls(windows, spectra, means, **known)
+        planes, entries = _planes(facts, windows, border)
+        means = planes[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
+        planes -= means[..., None, None]
+        spectra = scipy.fft.rfft2(planes, workers=-1)
+        if entries is not None:
+            spectra, means = _mixed(entries.T, spectra), means @ entries
+        return cls(windows, spectra, means.astype(np.float64), **known)
 
     @cached_property
     def exact(self) -> np.ndarray:
         """Transforms of the channels less their means, complex (n, C, SIDE, SIDE // 2 + 1)."""
-        return self._sums(self.even)
-
-    def _sums(self, weights):
-        """Sums over the wavelengths by `weights` (C, L), behind their transfer functions."""
-        through = self.spectra * self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
-        return np.einsum("cl,nlyx->ncyx", weights.astype(np.float32), through, optimize=True)
+        tables = self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
+        return _mixed(self.even, self.spectra * tables)
 
     @cached_property
     def signal(self) -> np.ndarray:
@@ -143,16 +143,14 @@ class Probes:
 
     @staticmethod
     def _inside(spectra):
-        return scipy.fft.irfft2(spectra, (SIDE, SIDE), workers=-1)[..., RIM:-RIM, RIM:-RIM]
+        return scipy.fft.irfft2(spectra, (SIDE, SIDE))[..., RIM:-RIM, RIM:-RIM]
 
     @cached_property
     def _size(self):
         """Root mean square of the mosaic [e- s-1]: its share of the channels together, which the whole frame tells."""
-        def mean(values):
-            return np.einsum("n,n->", self.windows.weight, values)
-
-        together = mean(np.square(self.signal.sum(axis=1)).mean(axis=(1, 2)))
-        mosaic = mean(np.einsum("c,ncyx->n", self.share, np.square(self.signal)) / INNER**2)
+        weight = self.windows.weight
+        together = weight @ _mean_squares(self.signal.sum(axis=1))
+        mosaic = weight @ _mean_squares(self.signal) @ self.share
         return self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
 
     def bound(self, wrong) -> Bound:
@@ -160,17 +158,25 @@ class Probes:
         if not self._size > 0:
             return Bound()
         error = np.abs(self._inside(wrong))
-        weight = self.windows.weight[:, None] * self.share / INNER**2  # of a pixel
-        rms = np.sqrt(np.einsum("nc,ncyx->", weight, np.square(error))) / self._size
-        sigma = error * self.seconds / np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+        weight = self.windows.weight[:, None] * self.share
+        rms = np.sqrt((weight * _mean_squares(error)).sum()) / self._size
+        sigma = error * (self.seconds / self._sigma)
         return Bound(float(rms), _quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
+
+    @cached_property
+    def _sigma(self):
+        """Noise of the pixels in the windows' inner parts [e-], (n, C, INNER, INNER)."""
+        return np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+
+    @cached_property
+    def _least_sigma(self):
+        """Its hundredth and least."""
+        return float(np.quantile(self._sigma, 0.01)), float(self._sigma.min())
 
     @cached_property
     def unblurred(self) -> Bound:
         """The error of leaving the blur out."""
-        flat = np.real(self.tables[:, 0, 0])
-        return self.bound(np.einsum("cl,nlyx->ncyx", (self.even * flat).astype(np.float32), self.spectra,
-                                    optimize=True) - self.exact)
+        return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact)
 
     def moved(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
@@ -192,10 +198,9 @@ class Probes:
 
     def even_error(self, rms: float) -> Bound:
         """An error of this relative root mean square that is everywhere alike, as that of rounding in transforms."""
-        size = self._size * self.seconds * rms
-        sigma = np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
+        size, (low, least) = self._size * self.seconds * rms, self._least_sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
-        return Bound(rms, float(3.3 * size / np.quantile(sigma, 0.01)), float(5 * size / sigma.min()))
+        return Bound(rms, float(3.3 * size / low), float(5 * size / least))
 
     def fused(self, table, transfers):
         """Bounds of the first n planes for each n from the number of channels on.
@@ -203,36 +208,57 @@ class Probes:
         table: planes from spectra, (planes, L). transfers: weight of each wavelength's transfer function in that of a
         plane in a channel, (C, planes, L).
         """
-        planes = np.einsum("kl,nlyx->nkyx", table.astype(np.float32), self.spectra, optimize=True)
+        planes, left = _mixed(table, self.spectra), self.exact.copy()
         responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)
-        left = self.exact.copy()
+        responses = responses.astype(np.complex64 if np.iscomplexobj(responses) else np.float32)
         for k in range(len(table)):
-            left -= responses[:, k].astype(left.dtype) * planes[:, k, None]
+            left -= responses[:, k] * planes[:, k, None]
             if k + 1 >= len(self.weights):
                 yield k + 1, self.bound(left)
 
 
-def _bands(facts, windows, border):
-    """Spectra of the windows' samples, (n, L, SIDE, SIDE)."""
+def _planes(facts, windows, border):
+    """Planes of the windows' samples, (n, planes, SIDE, SIDE), and spectra of these (planes, L).
+
+    As few as there are: of all wavelengths, for which the spectra are None, or of entries that samples are mixed of.
+    """
     rows, cols = facts.content.shape
     y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    taken = facts.samples.taken(y, x)
-    bands = taken.planes if taken.is_spectral else taken.mixed(taken.entry_spectra.T.astype(np.float32))
-    bands = bands.reshape(len(bands), -1, SIDE, SIDE).swapaxes(0, 1)
+    taken, spectra = facts.samples.taken(y, x), None
+    if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
+        planes, spectra = taken.planes, taken.entry_spectra
+    else:
+        planes = taken.planes if taken.is_spectral else taken.mixed(taken.entry_spectra.T.astype(np.float32))
+    planes = np.array(planes.reshape(len(planes), -1, SIDE, SIDE).swapaxes(0, 1), np.float32, order="C")
     if border == "zero":
-        inside = ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
-        bands = bands * inside
-    return bands
+        planes *= ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
+    return planes, spectra
+
+
+def _mixed(weights, spectra):
+    """Sums of planes' transforms, complex64 (n, planes, SIDE, SIDE // 2 + 1), by real weights (sums, planes)."""
+    numbers = spectra.reshape(*spectra.shape[:2], -1).view(np.float32)
+    return (weights.astype(np.float32) @ numbers).view(np.complex64).reshape(len(spectra), -1, *spectra.shape[2:])
+
+
+def _mean_squares(values):
+    """Over the last two axes, in the type of the values."""
+    return np.einsum("...yx,...yx->...", values, values) / INNER**2
 
 
 def _quantile(values, weight, part):
-    """Quantile of values (n, C, ...) whose weights are (n, C)."""
-    each = np.broadcast_to(weight[(..., *[None] * (values.ndim - 2))], values.shape).ravel()
-    values, above, count = values.ravel(), (1 - part) * each.sum(), max(int(TOP * values.size), 1)
-    while True:
-        top = np.argpartition(values, len(values) - count)[-count:]
-        if count == len(values) or each[top].sum() > above:
-            break
-        count = min(4 * count, len(values))
-    top = top[np.argsort(values[top])[::-1]]
-    return float(values[top[min(np.searchsorted(np.cumsum(each[top]), above), count - 1)]])
+    """Quantile of values (n, C, rows, cols) whose weights are (n, C), part >= 1 - 1 / cols.
+
+    The largest of each row tell a value that is low enough to be below it.
+    """
+    above = (1 - part) * weight.sum() * values[0, 0].size
+    least = _reached(values.max(axis=-1), weight[..., None], above)
+    some = values >= least
+    return float(_reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above))
+
+
+def _reached(values, weight, above):
+    """The value down to which, from the largest on, the weights add up to `above`."""
+    weight = np.broadcast_to(weight, values.shape).ravel()
+    order = np.argsort(values, axis=None)[::-1]
+    return values.ravel()[order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]]

@@ -48,7 +48,9 @@ class Question:
     @classmethod
     def of(cls, scene: Scene, camera: Camera, facts: Facts, tolerance: Tolerance | None, **asked) -> "Question":
         """What `plan` was asked. Raises BadData, OutOfRange."""
-        weights = electrons_per_content(scene, camera)
+        kept, optics, sensor = asked["kept"], camera.optics, camera.sensor
+        weights = kept("electrons", (scene.illuminant, scene.wavelengths, optics, sensor.aperture, sensor.qe),
+                       lambda: electrons_per_content(scene, camera))
         check_light(scene, facts.samples.whole, camera)
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
         made._check_displacement()
@@ -152,8 +154,13 @@ class Question:
         """
         if not self.is_blurred:
             return 0.0
-        rays = spread_radius(self.optics, self.scene.wavelengths, self.pitch)
-        return float(np.sqrt((0.42 * self.mean_q) ** 2 + rays**2 / 4 + (self.ratio**2 - 1) / 12))
+        return float(np.sqrt((0.42 * self.mean_q) ** 2 + self.spread**2 / 4 + (self.ratio**2 - 1) / 12))
+
+    @property
+    def spread(self) -> float:
+        """Radius within which the rays of a point meet the image [sample], see `spread_radius`."""
+        of = self.optics, self.scene.wavelengths, self.pitch
+        return self.kept("spread", of, lambda: spread_radius(*of))
 
     @property
     def tables(self) -> Tables:

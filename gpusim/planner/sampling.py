@@ -7,7 +7,7 @@ edges fall on cells' edges (whole ratios at full fill) nothing is interpolated.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from math import ceil
 
 import numpy as np
@@ -150,23 +150,22 @@ class Moments:
     changes: np.ndarray
 
 
-def moments(pairs: Content, weights) -> Moments:
-    """Moments of pairs of neighbouring rows, one above the other. weights: of the channels, shape (C, L)."""
-    seen = pairs.mixed(weights @ pairs.entry_spectra.T)
-    upper, lower = seen[:, ::2], seen[:, 1::2]
-    down, across = (lower - upper) ** 2, np.diff(upper, axis=2) ** 2
-    jump_down, jump_across = np.zeros(down.shape[1:], bool), np.zeros(across.shape[1:], bool)
-    if pairs.labels is not None:
-        jump_down = pairs.labels[::2] != pairs.labels[1::2]
-        jump_across = np.diff(pairs.labels[::2].astype(int), axis=1) != 0
-
-    def mean(squares, chosen):
-        return (squares * chosen).sum(axis=(1, 2)) / max(chosen.size, 1)
-
-    jumps = mean(down, jump_down) + mean(across, jump_across)
-    changes = mean(down, ~jump_down) + mean(across, ~jump_across)
+def moments(pairs: Content, seen) -> Moments:
+    """Moments of pairs of neighbouring rows, one above the other, that channels see as `seen`, (C, rows, cols)."""
+    upper, lower, ids = seen[:, ::2], seen[:, 1::2], pairs.labels
+    jumps = changes = np.zeros(len(seen))
+    for step, jumped in ((lower - upper, None if ids is None else ids[::2] != ids[1::2]),
+                         (np.diff(upper, axis=2), None if ids is None else ids[::2, 1:] != ids[::2, :-1])):
+        if step.size:
+            changed = step if jumped is None else np.where(jumped, 0, step)
+            part = _mean_squares(changed)
+            jumps, changes = jumps + (0 if jumped is None else _mean_squares(step - changed)), changes + part
     used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
-    return Moments(np.maximum(used, 0) / upper[0].size, (upper**2).mean(axis=(1, 2)), jumps, changes)
+    return Moments(np.maximum(used, 0) / upper[0].size, _mean_squares(upper), jumps, changes)
+
+
+def _mean_squares(planes):
+    return np.einsum("cyx,cyx->c", planes, planes) / planes[0].size
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,10 +187,15 @@ class _Waves:
         widest = max(4, min(ceil(1 / q), WIDEST))
         return cls(np.arange(-widest, widest + 1), places[np.abs(places) <= 1 / q], 1 / steps)
 
-    @property
+    @cached_property
     def all(self) -> np.ndarray:
         """Every frequency, replica by replica."""
         return (self.replicas[:, None] + self.places).ravel()
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """Of a scene with edges, of these frequencies along both axes."""
+        return _porod(self.all)
 
     def folded(self, transfer) -> np.ndarray:
         """The sum over waves whole cycles per sample apart, which give the same samples, at each of them."""
@@ -268,7 +272,7 @@ def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
     for means in (False, True):
         got = seen * (_box(f) if means else 1.0)
         error = np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
-        errors.append(float((_porod(f) * error).sum() * waves.step**2) / _difference_power(means))
+        errors.append(float((waves.power * error).sum() * waves.step**2) / _difference_power(means))
     return errors
 
 

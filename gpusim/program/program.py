@@ -132,7 +132,10 @@ class Program:
         """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
         device, scene, content = self.simulator.device, self.scene, self.scene.content
         if not looked_at_there(device, scene):
-            return Facts.of(dataclasses.replace(scene, content=Reading(device, content).whole()))
+            whole = Reading(device, content).whole()
+            if not content.is_seen:
+                return Facts.of(dataclasses.replace(scene, content=whole))  # which looks at the values
+            return Facts.of(scene.stored(**{name: getattr(whole, name) for name in whole.samples}))
         stored = self.before.kept("content", (One(content), WHOLE), lambda: self.simulator.imaging.stored(content))
         return Facts(content, None, Reading(device, content, stored))
 

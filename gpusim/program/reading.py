@@ -5,25 +5,34 @@ from dataclasses import replace
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.content import Basis, Content, Materials, Picture
+from gpusim.domain.content import Basis, Content, Materials, Picture, is_seen
 from gpusim.domain.foreign import type_of
 from gpusim.domain.scene import Scene
 from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
+from gpusim.planner.facts import OnHost
 
 WHOLE = (slice(None), slice(None))
 LARGE = 2**26  # [byte] of a scene in host memory that the device looks at sooner than the host
 
 
 def looked_at_there(device: Device, scene: Scene) -> bool:
-    """Whether a device looks at a scene for the planner: one that is there, or large; else the host does."""
+    """Whether a device looks at a scene for the planner: one that is there, or large; else the host does.
+
+    Of memory that a device shares with the host NumPy reads float32 in order as fast, and anything else slowly.
+    """
     content = scene.content
     if scene.depth is not None or device.kind == "numpy":
         return False
-    is_there = not all(isinstance(getattr(content, name), np.ndarray) for name in content.samples)
-    return is_there or LARGE <= content.nbytes <= device.largest_array
+    arrays = [getattr(content, name) for name in content.samples]
+    if not all(isinstance(array, np.ndarray) for array in arrays):
+        return True
+    if device.on_host and all(is_seen(array) and array.dtype == np.float32 and array.flags.c_contiguous
+                              for array in arrays):
+        return False
+    return LARGE <= content.nbytes <= device.largest_array
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):
@@ -65,17 +74,17 @@ class Reading:
             stored = store(device, content)
         self._stored = stored
 
-    def taken(self, rows, cols) -> Content:
+    def taken(self, rows, cols=None) -> Content:
         """Windows of the samples, one above the other, in host memory: content of shape (n h, w).
 
-        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture it is a Basis;
-        samples of float16 that come from a device are float32 of the same values.
+        rows: int, shape (n, h). cols: int, shape (n, w); by default all. Both are clipped to the frame. Of a picture it
+        is a Basis; samples of float16 that come from a device are float32 of the same values.
         """
         content = self.content
         if self._stored is None:
             height, width = content.shape
-            rows, cols = np.clip(rows, 0, height - 1), np.clip(np.repeat(cols, rows.shape[1], axis=0), 0, width - 1)
-            return content.take(rows.reshape(-1, 1), cols)
+            return OnHost(content).taken(np.clip(rows, 0, height - 1), None if cols is None else np.clip(
+                cols, 0, width - 1))
         entries, ids = self._stored
         light = self._windows(entries, rows, cols, np.float32)
         if isinstance(content, Materials):
@@ -86,9 +95,9 @@ class Reading:
 
     def _windows(self, samples, rows, cols, dtype):
         """Windows of stored samples as a new array of the host, shape (..., n h, w)."""
-        found = np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype)
+        found = self.device.numpy(take(samples, rows, cols, device=self.device))
         count, *entries, height, width = found.shape
-        return np.moveaxis(found, 0, -3).reshape(*entries, count * height, width)
+        return np.array(np.moveaxis(found, 0, -3), dtype, order="C").reshape(*entries, count * height, width)
 
     def whole(self) -> Content:
         """All samples, in host memory; of a picture its codes. Raises BadData."""

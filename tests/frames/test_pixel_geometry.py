@@ -24,7 +24,7 @@ from gpusim.optics.lens import PupilLens
 from gpusim.optics.psf import psf_tables
 from gpusim.planner.facts import Facts
 from gpusim.planner.geometry import vignetting_gain
-from gpusim.planner.sampling import moments, sampling_error
+from gpusim.planner.sampling import sampling_error
 from gpusim.simulator import Simulator
 
 BANDS = np.array([500.0, 550.0, 600.0])  # [nm]
@@ -307,7 +307,7 @@ def test_the_sampling_error_knows_rectangles_and_places():
             return airy(q, aperture, rows, cols, device="numpy")
 
     def error(aperture, displacement):
-        return sampling_error(moments(Facts(content).pairs, weights), weights, q, share, 1.0, aperture, None, Ideal(),
+        return sampling_error(Facts(content).moments(weights), weights, q, share, 1.0, aperture, None, Ideal(),
                               displacement)
 
     assert error((0.9, 0.4), (0.0, 0.0)) == pytest.approx(error((0.4, 0.9), (0.0, 0.0)), rel=1e-9)

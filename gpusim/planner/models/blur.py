@@ -57,7 +57,9 @@ def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes)
     assert question.tolerance is not None
     if _must_stay(question, picture):
         return question
-    bound = total([probes.unblurred, probes.even_error(picture.from_afar(question, SIDE / 2))])
+    bound = probes.unblurred
+    if SAFETY * bound.ratio(question.tolerance) <= 1:
+        bound = total([bound, probes.even_error(picture.from_afar(question, SIDE / 2))])
     if SAFETY * bound.ratio(question.tolerance) > 1:
         return question
     notes.without("blur", bound, "blur left out")

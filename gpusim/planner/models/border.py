@@ -10,7 +10,7 @@ from scipy.special import j0, j1
 from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
-from gpusim.optics.lens import spread_radius, tail_of
+from gpusim.optics.lens import tail_of
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.highlights import TRANSFORM_ERROR
@@ -91,7 +91,7 @@ def _outside(question, picture, depth, level):
     scene, optics, split = question.scene, question.optics, picture.highlights
     spread = 0
     if question.is_blurred:
-        spread = depth.reach if depth else spread_radius(optics, scene.wavelengths, question.pitch)
+        spread = depth.reach if depth else question.spread
     tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
     return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
                    max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0,

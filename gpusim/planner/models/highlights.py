@@ -1,6 +1,7 @@
 """Highlights: split off the picture where what is added in their place is known exactly."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,11 @@ class Picture:
     highest: float
     highlights: Highlights | None
 
+    @cached_property
+    def is_spiky(self) -> bool:
+        """Whether it has highlights."""
+        return bool(self.brightness.max(initial=0) > THRESHOLD * median_of(self.brightness))
+
     def from_afar(self, question: Question, distance: float) -> float:
         """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
         tail = tail_of(question.optics) * question.mean_q
@@ -51,7 +57,7 @@ class Picture:
 
     def describe_unsplit(self, notes: Notes):
         """Say what the transforms err beside highlights that stay in the picture."""
-        if self.highlights is None and (left := unsplit_error(self.brightness)):
+        if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
             notes.beside["local error beside highlights"] = left
 
 
@@ -60,10 +66,9 @@ def split(question: Question) -> tuple[Question, Picture]:
     scene, facts = question.scene, question.facts
     brightness = facts.brightness(question.light)
     level, highest = seen_light(brightness, question.deviation, scene.margin)
-    if not _can_be_split(question):
-        return question, Picture(brightness, level, highest, None)
-    if not brightness.max(initial=0) > THRESHOLD * median_of(brightness):
-        return question, Picture(brightness, level, highest, None)
+    picture = Picture(brightness, level, highest, None)
+    if not _can_be_split(question) or not picture.is_spiky:
+        return question, picture
     content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:

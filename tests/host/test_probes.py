@@ -1,0 +1,114 @@
+"""Probes: what a plan reads and transforms of a scene, and the figures of an error in its windows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.fft
+from cameras import PHONE
+
+import gpusim as gs
+from gpusim.domain.content import Basis, Cube, Materials
+from gpusim.domain.tolerance import Tolerance
+from gpusim.planner import probes
+from gpusim.planner.facts import Facts, OnHost
+from gpusim.planner.plan import plan
+from gpusim.planner.probes import INNER, RIM, SIDE, Probes, Windows
+
+WAVELENGTHS = np.linspace(400, 700, 31)
+RANDOM = np.random.default_rng(3)
+SPECTRA = RANDOM.random((4, 31))
+SHAPE = (150, 190)
+LIGHT = gs.chart("flat").illuminant
+FORMS = {"cube": (Cube(WAVELENGTHS, RANDOM.random((31, *SHAPE), np.float32)), 31),
+         "basis": (Basis(WAVELENGTHS, RANDOM.random((4, *SHAPE), np.float32), SPECTRA), 4),
+         "materials": (Materials(WAVELENGTHS, RANDOM.integers(0, 4, SHAPE).astype(np.uint8),
+                                 RANDOM.random(SHAPE, np.float32), SPECTRA), 31)}
+
+
+class Counted(OnHost):
+    """Samples that note what is read of them: how many each time."""
+
+    def __init__(self, content):
+        super().__init__(content)
+        self.read = []
+
+    def taken(self, rows, cols=None):
+        self.read.append(rows.size * SHAPE[1] if cols is None else rows.size * cols.shape[1])
+        return super().taken(rows, cols)
+
+    def brightness(self, total):
+        self.read.append("brightness")
+        return super().brightness(total)
+
+    def whole(self):
+        raise AssertionError("nothing of this scene is so bright that all of it is needed")
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("tolerance", [None, "1e-2", "3e-5", "metrology"])
+def test_a_plan_reads_a_scene_once(form, tolerance, monkeypatch):
+    """All of it for its brightness, some pairs of rows, and windows, of which as few planes are transformed as tell."""
+    (content, planes), transformed, inner = FORMS[form], [], scipy.fft.rfft2
+    monkeypatch.setattr(probes.scipy.fft, "rfft2", lambda values, **how: transformed.append(values.shape) or inner(
+        values, **how))
+    samples = Counted(content)
+    plan(gs.Scene(content, LIGHT), PHONE, tolerance=tolerance and Tolerance.parse(tolerance),
+         facts=Facts(content, None, samples))
+    rows = 2 * (SHAPE[0] - 1) * SHAPE[1]
+    windows = [shape for shape in transformed if len(shape) == 4]
+    if tolerance is None:
+        assert samples.read == ["brightness", rows] and not windows
+    else:
+        (count, each, *_), = windows
+        assert samples.read == ["brightness", rows, count * SIDE**2] and each == planes
+
+
+@pytest.mark.parametrize("content", [FORMS["basis"][0], gs.picture(RANDOM.integers(0, 256, (*SHAPE, 3), np.uint8))
+                                     .content], ids=["basis", "picture"])
+def test_samples_that_a_scene_was_made_of_are_not_checked_again(content, monkeypatch):
+    scene = gs.Scene(content, LIGHT)
+    simulator = gs.Simulator(PHONE, device="numpy")
+    for form in {type(content), Basis}:
+        monkeypatch.setattr(form, "check", lambda *_: pytest.fail("checked again"))
+    assert simulator.program(scene).plan.models
+
+
+def test_entries_are_probed_as_their_spectra_are():
+    """A basis and the cube that it makes: means round to float32, all samples of a window alike."""
+    basis = FORMS["basis"][0]
+    cube = Cube(WAVELENGTHS, basis.bands_at(slice(None)).astype(np.float32))
+    for border in ("edge", "zero"):
+        windows = Windows.of(basis.brightness(np.ones(31)), 0, border, 6)
+        own, its = (Probes.of(Facts(content), windows, border, tables=None, weights=None, even=None, share=None,
+                              level=1.0, seconds=1.0, noise=1.0) for content in (basis, cube))
+        np.testing.assert_allclose(own.means, its.means, rtol=1e-6)
+        assert np.abs(own.spectra - its.spectra).max() < 4 * 2.0**-24 * SIDE**2 * its.means.max()
+
+
+def test_the_figures_of_an_error():
+    """By hand, over every pixel of the windows' inner parts with its weight: errors that differ between windows."""
+    count, channels = 5, 3
+    weight, share = RANDOM.random(count), np.array([0.25, 0.5, 0.25])
+    weight /= weight.sum()
+    tables = np.ones((channels, SIDE, SIDE // 2 + 1))
+    light = RANDOM.random((count, channels, SIDE, SIDE), np.float32)
+    made = Probes(Windows(np.zeros((count, SIDE), int), np.zeros((count, SIDE), int), weight, 1.25),
+                  scipy.fft.rfft2(light), np.ones((count, channels)), tables, np.eye(channels), np.eye(channels), share,
+                  level=3.0, seconds=7.0, noise=2.0)
+    wrong = RANDOM.normal(size=light.shape) * 10.0 ** -RANDOM.uniform(0, 3, (count, channels, 1, 1))
+    wrong = wrong.astype(np.float32)
+    found = made.bound(scipy.fft.rfft2(wrong))
+    inner = np.s_[..., RIM:-RIM, RIM:-RIM]
+    signal, error = light[inner].astype(np.float64) + 1, np.abs(wrong[inner].astype(np.float64))
+    pixel = np.broadcast_to((weight[:, None] * share)[..., None, None], error.shape) / INNER**2
+    together = (weight[:, None, None] * signal.sum(axis=1) ** 2).sum() / INNER**2
+    size = 3.0 * np.sqrt((pixel * signal**2).sum() / together)
+    assert found.rms == pytest.approx(np.sqrt((pixel * error**2).sum()) / size, rel=1e-5)
+    sigma = error * 7 / np.sqrt(signal * 7 + 2)
+    order = np.argsort(sigma, axis=None)[::-1]
+    above = np.cumsum(pixel.ravel()[order])
+    assert found.p999_sigma == pytest.approx(np.interp(1e-3, above, sigma.ravel()[order]), rel=1e-3)
+    assert found.max_sigma == pytest.approx(1.25 * sigma.max(), rel=1e-5)
+    none = replace(made, level=0.0).bound(scipy.fft.rfft2(wrong))
+    assert (none.rms, none.p999_sigma, none.max_sigma) == (0, 0, 0)
