@@ -89,7 +89,8 @@ class Simulator:
         automatic, expose by what was metered in the frame before, as a video camera does, the first frame by its own;
         else every frame by its own, which waits for the device. The next scene goes to the device while this one is
         computed: arrays of a scene may be written to again when the scene after the next is asked for. A plan is kept
-        while scenes are of one kind and it fits them: see `Program`. Raises as `frames` does.
+        while scenes are of one kind and it fits them, which the device looks at in each, and probes now and then: see
+        `Program`. Raises as `frames` does.
         """
         return stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
                       meters_late=meters_late)
@@ -120,13 +121,14 @@ class Simulator:
         for number in range(first, first + count):
             yield shots.frame(seed=seed, frame=number, error=error, first=number == first)
 
-    def plan(self, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
+    def plan(self, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
+             least: int = 0) -> Plan:
         """What a frame of `scene` takes.
 
-        facts: of it, where they are known. exposure_time: [s], in place of the camera's. Raises BadData, DoesNotFit,
-        NotMet where the simulator is strict.
+        facts: of it, where they are known. exposure_time: [s], in place of the camera's. least: planes of the blur.
+        Raises BadData, DoesNotFit, NotMet where the simulator is strict.
         """
-        return planned(self, scene, facts, exposure_time)
+        return planned(self, scene, facts, exposure_time, least)
 
     def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.

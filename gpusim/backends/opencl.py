@@ -14,11 +14,13 @@ from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
 from gpusim.backends.caches import prepare_opencl
 from gpusim.backends.commands import Arriving, Command, Copy
 from gpusim.backends.pocl import known_processor
+from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import SMALL, Taped
 from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 
 PAGE = 4096
+REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY")  # of memory, by drivers
 CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
 
 
@@ -112,6 +114,7 @@ class OpenCLDevice(Taped):
         access = flags.READ_WRITE if values.flags.writeable else flags.READ_ONLY
         return self._cl.Buffer(self.context, access | flags.USE_HOST_PTR, hostbuf=values)
 
+    @refusable(of_shape)
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:
             return super().pinned(shape, dtype)
@@ -122,6 +125,7 @@ class OpenCLDevice(Taped):
         values, _ = self._cl.enqueue_map_buffer(self.queue, buffer, both, 0, tuple(shape), dtype)  # it keeps the buffer
         return values.view(Pinned)
 
+    @refusable(of_values)
     def send(self, values, target=None, after=None):
         if self.on_host:
             return super().send(values)
@@ -131,6 +135,7 @@ class OpenCLDevice(Taped):
         self._copies.flush()
         return Arriving(self, target, event)
 
+    @refusable(of_values)
     def fetch(self, array):
         if self.on_host:
             return super().fetch(array)
@@ -151,6 +156,14 @@ class OpenCLDevice(Taped):
             return None
         with self._lock:
             return self._cl.enqueue_marker(self.queue)
+
+    def refusal(self, error):
+        text = str(error) if isinstance(error, self._cl.Error) else ""
+        return text if any(name in text for name in REFUSALS) else super().refusal(error)
+
+    def give_back(self):
+        self._free.clear()
+        self._landings.clear()
 
     def _reshape(self, array, shape):
         host = None if array.host is None else array.host.reshape(shape)

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from gpusim.backends.device import Device
+from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, refusable
 from gpusim.domain.foreign import to_host
 
 SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are given to the device again
@@ -82,7 +83,7 @@ class Tape:
     def replay(self):
         """Start the noted kernels once more, for inputs in the memory that they had."""
         for command in self.commands:
-            command.start()
+            command.device.start(command)
 
 
 class OwnTape(threading.local):
@@ -125,9 +126,11 @@ class Taped(Device):
     """A device whose requests can be noted. A backend defines what is asked with a leading underscore.
 
     Of a launch it makes a command: `set(args)` gives it other arguments of the same kinds, `start()` starts it; stage
-    and name are those of its kernel.
+    and name are those of its kernel; device: that made it.
+    Memory that the driver refuses raises OutOfMemory.
     """
 
+    @refusable(of_values)
     def array(self, values, dtype=np.float32):
         if isinstance(values, self.array_type) and self._is_here(values):
             return values
@@ -144,9 +147,11 @@ class Taped(Device):
             return self._array(values, dtype)
         return tape.constant(values, lambda: self._array(values.copy(), dtype))  # it may use what it is given
 
+    @refusable(of_values)
     def samples(self, values, dtype):
         return self._fitting(self.array(values, dtype), np.dtype(dtype))
 
+    @refusable(of_shape)
     def empty(self, shape, dtype=np.float32):
         tape = _current.tape
         if tape is None or tape.writes_anew:
@@ -159,6 +164,7 @@ class Taped(Device):
             return self._reshape(array, shape)
         return tape.again(("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape))
 
+    @refusable(of_values)
     def numpy(self, array):
         if isinstance(array, np.ndarray):
             return array
@@ -194,6 +200,7 @@ class Taped(Device):
         self._copied(result, array, size, index * size, 0)
         return result
 
+    @refusable(of_values)
     def _copied(self, target, source, count, start, to):
         """Copy `count` values between arrays in turn with what is launched."""
         tape, what = _current.tape, (target, source, count, start, to)
@@ -203,6 +210,12 @@ class Taped(Device):
             places = self._place(target), self._place(source), count, start, to
             tape.start(tape.again(("copy", *places), lambda: self._copy(*what)))
 
+    @refusable(of_command)
+    def start(self, command):
+        """Start a command once more."""
+        command.start()
+
+    @refusable(of_launch)
     def launch(self, stage, kernel, grid, *args, defines=None, group=None):
         tape = _current.tape
         if tape is None:
@@ -212,6 +225,13 @@ class Taped(Device):
             command = tape.again(request, lambda: self._command(stage, kernel, grid, args, defines or {}, group))
             command.set(args)
             tape.start(command)
+
+    def refusal(self, error: Exception) -> str:
+        """What a driver said when it refused memory; "" where that is not what the error is."""
+        return (str(error) or "out of memory") if isinstance(error, MemoryError) else ""
+
+    def give_back(self):
+        """Let go of memory that is kept for reuse."""
 
     def _array(self, values, dtype):
         """Array of this device with these values, not one of its own already."""

@@ -17,6 +17,7 @@ import numpy as np
 from gpusim.backends.caches import is_writable, lent_folder
 from gpusim.backends.device import Transfer
 from gpusim.backends.native import native_kernel
+from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
@@ -78,6 +79,9 @@ def array_class(wp):
 
     WarpArray.of = staticmethod(as_shown)
     return WarpArray
+
+
+REFUSALS = "Failed to allocate", "out of memory"  # of memory, in Warp's words and CUDA's
 
 
 class _Command:
@@ -235,12 +239,14 @@ class WarpDevice(Taped):
         with self._wp.ScopedStream(own, sync_enter=True, sync_exit=True):  # in turn with our own
             yield
 
+    @refusable(of_shape)
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:
             return super().pinned(shape, dtype)
         kind = self._wp.dtype_from_numpy(np.dtype(dtype))
         return self._wp.empty(shape, dtype=kind, device="cpu", pinned=True).numpy().view(Pinned)
 
+    @refusable(of_values)
     def send(self, values, target=None, after=None):
         if self.on_host:
             return super().send(values)
@@ -252,6 +258,7 @@ class WarpDevice(Taped):
         wp.copy(target, source, stream=self._copies)
         return _Transfer(self, target, source, self._copies.record_event())
 
+    @refusable(of_values)
     def fetch(self, array):
         if self.on_host:
             return super().fetch(array)
@@ -269,6 +276,13 @@ class WarpDevice(Taped):
 
     def mark(self):
         return None if self.on_host else self.wp_device.stream.record_event()
+
+    def refusal(self, error):
+        text = str(error) if isinstance(error, RuntimeError) else ""
+        return text if any(words in text for words in REFUSALS) else super().refusal(error)
+
+    def give_back(self):
+        self._landings.clear()
 
     def _reshape(self, array, shape):
         return self._as_shown(array.reshape(shape))

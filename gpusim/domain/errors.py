@@ -83,6 +83,16 @@ class DeviceError(GpusimError):
     """A device that is missing, unusable or failed, with the reason the driver gave."""
 
 
+class OutOfMemory(DeviceError):
+    """Memory that a driver refuses while a device is in use, though the estimate said that it would fit."""
+
+    def __init__(self, what: str, nbytes: int, where: str, available: int, reason: str):
+        size = f" ({nbytes / 2**30:.3g} GiB)" if nbytes else ""
+        super().__init__(f"{where} refused memory for {what}{size}: {one_line(reason, LONGEST_VALUE)}; it has "
+                         f"{available / 2**30:.2f} GiB, which other processes may be using: close them, or use a "
+                         "smaller scene, fewer frames in a batch or another device")
+
+
 def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -> int:
     """Return a whole number of things as it is. Raises OutOfRange."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:

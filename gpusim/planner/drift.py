@@ -16,12 +16,12 @@ where the few largest eigenvalues are nearly all of M and the rest is at most it
 stage `spectral.survey` measures all three on a device, without moments and in one pass over a few rows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gpusim.domain.content import Content
-from gpusim.planner.fusion import Response, row_pairs
+from gpusim.planner.fusion import Response, Spectra, row_pairs
 
 WRONG_ROWS = 8  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest for operators up to rank 5
 FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
@@ -33,7 +33,9 @@ class Watch:
 
     flat: F, shape (up to 8, L). wrong: B, shape (up to 8, L). left: largest eigenvalue of what B leaves of M, over the
     coefficients of content entries. table: projections from entries, those of `flat` first, float32 (P, entries), as
-    `spectral.survey` takes it. first: upper rows of the pairs to survey, int32 (n,).
+    `spectral.survey` takes it. first: upper rows of the pairs to survey, int32 (n,). inputs: planes from spectra, which
+    the plan's table gives from entries, shape (planes, L). factor: of the error, as probes of the plan's scene told it.
+    falls: what of the square of each row of B one plane more leaves, two more ..., shape (8,) each.
     """
 
     flat: np.ndarray
@@ -41,19 +43,35 @@ class Watch:
     left: float
     table: np.ndarray
     first: np.ndarray
+    inputs: np.ndarray
     factor: float = 1.0
+    falls: tuple = ()
 
     @classmethod
-    def of(cls, response: Response, table, transfers, content: Content) -> "Watch":
+    def of(cls, response: Response, table, transfers, content: Content, shape=None) -> "Watch":
         """Of an operator, as `Response.error` takes it, and contents that differ from this one in their samples alone.
 
-        table: planes from spectra, shape (planes, L). transfers: shape (C, planes, L).
+        table: planes from spectra, shape (planes, L). transfers: shape (C, planes, L). shape: rows and columns of the
+        samples that are surveyed, by default all.
         """
         entries = content.entry_spectra
         flat, _ = _rows((response.flat.T * response.share) @ response.flat, content, min(FLAT_ROWS, len(response.flat)))
         wrong, left = _rows(wrong_moments(response, table, transfers), content, WRONG_ROWS)
         projections = np.vstack([flat, wrong]) @ entries.T
-        return cls(flat, wrong, left, projections.astype(np.float32), row_pairs(*content.shape).astype(np.int32))
+        first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
+        return cls(flat, wrong, left, projections.astype(np.float32), first, np.asarray(table))
+
+    @classmethod
+    def of_no_blur(cls, response: Response, content: Content, shape, spectra: Spectra) -> tuple["Watch", float]:
+        """The same where the blur is left out, and the error of a content with these moments.
+
+        What a channel gets wrong of a wavelength is then its transfer function less that of a flat field. shape: of the
+        samples that are surveyed.
+        """
+        wrong = replace(response, tables=response.tables - response.tables[:, :1])
+        channels, bands = response.weights.shape
+        nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
+        return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
     def error(self, survey) -> float:
         """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
@@ -62,11 +80,40 @@ class Watch:
         most the root of `left` E[|d|^2] / signal, d the differences of entries; 0 without a signal. NaN where the
         content has NaN: compare so that it fails.
         """
+        signal, errors = self._squares(survey)
+        return self.factor * float(np.sqrt(errors.mean() / signal)) if signal != 0 else 0.0
+
+    def steepest(self, survey) -> float:
+        """The same of the pair of rows where it is largest, over the signal of all."""
+        signal, errors = self._squares(survey)
+        return self.factor * float(np.sqrt(errors.max() / signal)) if signal != 0 else 0.0
+
+    def falling(self, moments) -> tuple:
+        """`falls` where operators of one plane more, two more ... have such moments M'.
+
+        Of a row b of B it is b M' b^T / |b|^4: what M' makes of the direction of b, over what M does, |b|^2.
+        """
+        size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-300)
+        return tuple(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments)
+
+    def wanting(self, survey, limit: float) -> int:
+        """How many planes more would err up to `limit` for a content; one more than `falls` tells where none of those.
+
+        A guess, which the next survey checks: differences are taken as independent along the rows of B, and what these
+        leave out is none.
+        """
         values, across, down = np.asarray(survey, np.float64).mean(0)
+        signals, differences = len(self.flat), across + down
+        allowed = (limit / self.factor) ** 2 * values[:signals].sum()
+        return 1 + next((more for more, fall in enumerate(self.falls) if fall @ differences[signals:-1] <= allowed),
+                        len(self.falls))
+
+    def _squares(self, survey):
+        """Mean square of the signal, and of the error in every pair of rows."""
+        values, across, down = np.moveaxis(np.asarray(survey, np.float64), 1, 0)
         differences, signals = across + down, len(self.flat)
-        signal = values[:signals].sum()
-        error = differences[signals:-1].sum() + self.left * differences[-1]
-        return self.factor * float(np.sqrt(error / signal)) if signal != 0 else 0.0
+        signal = values[:, :signals].sum(axis=1).mean()
+        return signal, differences[:, signals:-1].sum(axis=1) + self.left * differences[:, -1]
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:

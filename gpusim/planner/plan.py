@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY, Account, Bound, Verdict, total
+from gpusim.domain.account import Account, Bound, Verdict, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
@@ -21,7 +21,7 @@ from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
-from gpusim.planner.search import REMEDIES, Candidate, chosen, front, options, remedy
+from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
 STORED = 2.0**-24 / 3**0.5  # relative RMS of electrons stored as float32: evenly up to half of the last bit
@@ -54,12 +54,12 @@ class Plan:
     period: lengths of the transforms [sample]. slope: tangent of the field angle per pixel.
     bytes_needed: device memory of a frame, where it was planned for a device; else 0.
     watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
-        does. limit: relative RMS error that they keep, None without a tolerance.
+        does. limit: relative RMS error up to which they do, SAFETY in it, None without a tolerance.
     models: stage -> what is modelled, and why; left_out: what is not. account: named errors of the scene as sampled.
     beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one. front: the
     options that were cheaper, or more accurate, from the cheapest on.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
-        of that one then.
+        of that one then. probed: which scene's probes told the others, or why the plan was made anew.
     """
 
     scene: Scene
@@ -93,7 +93,18 @@ class Plan:
     verdict: Verdict | None = None
     front: tuple[Candidate, ...] = ()
     planned_for: str = ""
+    probed: str = ""
     tolerance: Tolerance | None = None
+
+    @property
+    def count(self) -> int:
+        """Planes that are blurred."""
+        return 0 if self.mix is None else self.mix.shape[-1]
+
+    @property
+    def watched(self) -> str:
+        """Name of the error that `watch` tells of."""
+        return "blur left out" if self.mix is None else "planes"
 
     def serves(self, scene: Scene) -> bool:
         """Whether it also says how to make a frame of another scene: of the same kind, and nothing here is of pixels.
@@ -116,28 +127,28 @@ class Plan:
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).met
 
-    def drift(self, survey) -> float | None:
-        """Relative RMS error of the fused planes for a scene that this serves, by `spectral.survey`; None if exact."""
-        return None if self.watch is None or survey is None else self.watch.error(survey)
-
     def fits(self, light, drift: float | None) -> bool:
         """Whether it is as right for a scene that it serves as it was to be for its own.
 
-        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what `drift` says of it. What is up
-        to THRESHOLD times the mean is no highlight: the transforms' error beside it is below 10 of TRANSFORM_ERROR
-        times the mean.
+        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what `watch` says of it, or
+        None. What is up to THRESHOLD times the mean is no highlight: the transforms' error beside it is below 10 of
+        TRANSFORM_ERROR times the mean.
         """
         highest, mean = light[:2]
         if self.mix is not None and highest > THRESHOLD * mean:
             return False
-        return drift is None or SAFETY * drift <= (self.limit or np.inf)
+        return drift is None or drift <= (np.inf if self.limit is None else self.limit)
 
-    def of(self, scene: Scene, drift: float | None) -> "Plan":
-        """The same as that of another scene that it serves; drift: see `drift`."""
-        bounds = self.account.bounds
-        if drift is not None and bounds.get("planes", Bound()).rms:
-            bounds = bounds | {"planes": bounds["planes"].times(drift / bounds["planes"].rms)}
-        account = replace(self.account, bounds=bounds)
+    def of(self, scene: Scene, drift: float | None, account: Account | None = None) -> "Plan":
+        """The same as that of another scene that it serves.
+
+        drift: see `fits`. account: of that scene, where more is known than that.
+        """
+        if account is None:
+            bounds, name = self.account.bounds, self.watched
+            if drift is not None and bounds.get(name, Bound()).rms:
+                bounds = bounds | {name: bounds[name].times(drift / bounds[name].rms)}
+            account = replace(self.account, bounds=bounds)
         verdict = None
         if self.tolerance is not None and self.verdict is not None:
             verdict = account.verdict(self.tolerance, self.verdict.remedy)
@@ -147,7 +158,7 @@ class Plan:
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
          reach: int | None = None, fft_free: bool = False, period: tuple[int, int] | None = None,
          kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None,
-         single: bool = True) -> Plan:
+         single: bool = True, least: int = 0) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
@@ -159,19 +170,21 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     then. kept: gives what was made for plans before, see `Kept`; by default nothing. facts: of the scene, where they
     were read before. exposure_time: that it will be exposed for, where it is not the camera's own [s].
     single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which
-    the electrons alone are rounded.
+    the electrons alone are rounded. least: planes that the blur has at least, where scenes of this kind were found to
+    need them; 0: it may be left out.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
-                           reach=reach, fft_free=fft_free, period=period, kept=kept)
+                           reach=reach, fft_free=fft_free, period=period, kept=kept, least=least)
     question, picture = highlights.split(question)
     notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
+    blurred = question
     if tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
-        question = question.limited(probes)
+        blurred = question = question.limited(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
     by_depth, one_distance = depth.by_depth(question)
@@ -180,7 +193,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         name, rounding = "transforms", TRANSFORM_ERROR
     fixed = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
     seen = _seen(question, picture, probes, operation, by_depth, fixed, notes) if question.is_blurred else _plain(
-        question, fixed, notes)
+        question, blurred, fixed, notes)
     taps, spare = sampling.taps_of(question, seen.around.period if seen.around else None)
     depth.describe(by_depth, notes)
     picture.describe(notes)
@@ -216,9 +229,15 @@ class _Seen:
     remedy: str = ""
 
 
-def _plain(question, fixed, notes):
+def _plain(question, blurred, fixed, notes):
+    """Without blur. blurred: the question before one was left out, if it was."""
     notes.bounds |= fixed
-    return _Seen(spectral.unblurred(question, notes), remedy=REMEDIES["rounding"])
+    planes, limit = spectral.unblurred(question, notes), None
+    if blurred.is_blurred:
+        bound = notes.bounds["blur left out"]
+        planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
+        limit = max(blurred.limit, HEADROOM * bound.rms)
+    return _Seen(planes, limit=limit, remedy=REMEDIES["rounding"])
 
 
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):
@@ -242,6 +261,6 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
         limit = max((question.limit**2 - rest**2), 0.0) ** 0.5
-        limit = max(limit, SAFETY * option.way.bound.rms)
+        limit = max(limit, HEADROOM * option.way.bound.rms)
     return _Seen(planes, option.around, folded, limit, () if tolerance is None else front(found, tolerance),
                  needed)

@@ -39,7 +39,9 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights)) + 4 * samples * len(plan.weights)
     total += _sensor(plan) + _processor(plan)
-    return int(total + (_looked_at(plan) if looked_at_there(device, scene) else 0))
+    if looked_at_there(device, scene):
+        total += _looked_at(plan) * (1 if plan.watch is None else 2)  # for the plan, and by probes of later scenes
+    return int(total)
 
 
 def _looked_at(plan):

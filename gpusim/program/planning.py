@@ -3,15 +3,19 @@
 from dataclasses import replace
 from math import ceil
 
+from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import DoesNotFit, NotMet, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lengths import LENGTHS
+from gpusim.planner.after import probed
 from gpusim.planner.border import BORDER_REACH
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan, plan
+from gpusim.planner.question import Question
 from gpusim.program.memory import bytes_needed, largest_array
+from gpusim.program.reading import Reading
 
 MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
 
@@ -32,7 +36,8 @@ def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
             sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
 
 
-def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None) -> Plan:
+def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
+            least: int = 0) -> Plan:
     """What a frame of `scene` takes: see `Simulator.plan`."""
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
@@ -40,9 +45,8 @@ def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: 
     if max(scene.samples) > most and not period:
         raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
     simulator.readout.output_shape(scene.shape)
-    made = plan(scene, simulator.camera, tolerance=simulator.tolerance, guaranteed=simulator.guaranteed, reach=reach,
-                fft_free=simulator.fft_free, period=period, kept=simulator.kept, facts=facts,
-                exposure_time=exposure_time, single=device.kind != "numpy")
+    made = plan(scene, simulator.camera, tolerance=simulator.tolerance, facts=facts, exposure_time=exposure_time,
+                single=device.kind != "numpy", **_asked(simulator), least=least)
     if simulator.strict and made.verdict is not None and not made.verdict.met:
         raise NotMet(f"{scene.name}: tolerance {made.verdict}")
     needed, largest = bytes_needed(made, device), largest_array(made)
@@ -53,3 +57,14 @@ def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: 
     if largest > device.largest_array:
         raise DoesNotFit(f"one array of {what}", largest, device.largest_array, device.name)
     return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])
+
+
+def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
+    """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
+    facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
+    return probed(made, Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)), seconds)
+
+
+def _asked(simulator):
+    """How a simulator asks for plans, beside the tolerance."""
+    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "fft_free", "period", "kept")}

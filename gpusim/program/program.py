@@ -13,6 +13,7 @@ from gpusim.frame import Exposure, Frame
 from gpusim.kernels.sensor.chip import retime as retime_chip
 from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
+from gpusim.planner.after import holds
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering, without_tone
@@ -20,7 +21,8 @@ from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
 from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
-from gpusim.program.planning import planned_by
+from gpusim.program.planning import planned_by, probed_by
+from gpusim.program.probing import Probing
 from gpusim.program.reading import WHOLE, Reading, looked_at_there
 from gpusim.program.shots import Shots
 
@@ -67,6 +69,7 @@ class Before:
     def __init__(self, device):
         self.kept = Kept(device)
         self.plan: tuple | None = None  # a Plan, and a camera that it is for
+        self.probing = Probing()
         self.looked: tuple = ()  # what was last looked at
 
 
@@ -79,7 +82,8 @@ class Program:
     not write them. Scenes count as unchanged while they are the same object: give a new Scene where its arrays have
     been written to. A program is used by one thread at a time.
     A scene that the plan was not made for is looked at on the device. What is found there is read before the next
-    frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData.
+    frame: the plan is made anew where it does not fit, and NaN or infinite light raises BadData. Now and then it is
+    probed before its own frame: see `gpusim.program.probing`.
     meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
     device. before: of other programs of one simulator's tolerance that are used in turn with this one, for outputs and
     not for frames; their cameras are planned alike. kept: what its own steps gave.
@@ -119,14 +123,40 @@ class Program:
         simulator, scene, before = self.simulator, self.scene, self.before
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
-        seconds = self._exposure_time
-        if plan is None or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds) or not (
-                by is camera or same(planned_by(by, asked), planned_by(camera, asked))):
+        seconds, probing = self._exposure_time, before.probing
+        is_other = by is not None and not (by is camera or same(planned_by(by, asked), planned_by(camera, asked)))
+        if plan is None or is_other or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds):
+            if is_other:
+                probing.forget()
             facts = before.kept("facts", One(scene), self._facts)
-            plan = before.kept("plan", (One(facts), One(simulator), seconds), lambda: simulator.plan(
-                scene, facts, seconds))
+            least, words = probing.least(scene), probing.words
+            plan = before.kept("plan", (One(facts), One(simulator), seconds, least, words), lambda: dataclasses.replace(
+                simulator.plan(scene, facts, seconds, least), probed=words))
+            probing.planned(plan)
         before.plan = plan, camera
         return plan
+
+    def _does(self):
+        """Whether the plan does, by what the last scene told and, now and then, by exact values of this one.
+
+        It is dropped where it does not.
+        """
+        self.judge()
+        if self.before.plan is None:
+            return False
+        simulator, scene, plan, probing = self.simulator, self.scene, self.plan, self.before.probing
+        if not probing.is_due(plan, scene):
+            return True
+        seconds = simulator.camera.sensor.exposure_time if self._exposure_time is None else self._exposure_time
+        if seconds is None and self.meters_late and self._metered:
+            seconds = self._metered[0]
+        account = self.before.kept("probes", (One(scene), One(plan), seconds), lambda: probed_by(
+            simulator, plan, scene, seconds))
+        does = holds(plan, account)
+        probing.found(scene, account, does)
+        if not does:
+            self.before.plan = None
+        return does
 
     def _facts(self):
         """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
@@ -173,8 +203,7 @@ class Program:
             plan = self.plan
             stored, samples, planes = self._planes(plan)
             rates = self._rates(plan, planes)
-            self.judge()  # not sooner: the device has work while the host waits
-            if self.before.plan is not None:
+            if self._does():  # not sooner: the device has work while the host waits
                 made = _Result((), plan, self.scene, stored, samples, planes, rates, None)
                 made.exposure = self._exposed_by(made)
                 return made
@@ -212,8 +241,7 @@ class Program:
         is_metered = self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         if last.scene is not self.scene and (not is_same or is_metered):
             return None
-        self.judge()
-        if self.before.plan is None:
+        if not self._does():
             return None
         if last.scene is self.scene:
             last.exposure = self._exposed_by(last)
@@ -288,9 +316,19 @@ class Program:
         if self.meters_late and light[0] > 0:
             self._metered = chosen(self.simulator, light, look.shape, look.seconds)
         if look.plan.scene is not look.scene:
-            self._drift = look.plan.drift(None if look.survey is None else look.survey())
-            if not look.plan.fits(light, self._drift):
-                self.before.plan = None
+            self._seen(look, light)
+
+    def _seen(self, look, light):
+        """Drop the plan where it does not fit a scene by its light and its survey."""
+        plan, scene, probing, self._drift = look.plan, look.scene, self.before.probing, None
+        if look.survey is not None:
+            found = look.survey()
+            self._drift = plan.watch.error(found)
+            probing.surveyed(plan, scene, self._drift, plan.watch.steepest(found))
+        if not plan.fits(light, self._drift):
+            self.before.plan = None
+            if plan.fits(light, None):
+                probing.unfit(plan, scene, plan.watch.wanting(found, plan.limit), scene is self.scene)
 
     @property
     def shots(self) -> Shots:
@@ -319,11 +357,11 @@ class Program:
     def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
         """One picture with its report, by a plan that fits its scene."""
         exposure = self.exposure
-        self.judge()
-        if self.before.plan is None:
+        if not self._does():
             exposure = self.exposure
         if exposure.plan.scene is not self.scene:
-            exposure = dataclasses.replace(exposure, plan=exposure.plan.of(self.scene, self._drift))
+            plan = self.before.probing.told(exposure.plan, self.scene, self._drift)
+            exposure = dataclasses.replace(exposure, plan=plan)
         return Shots(self.simulator, exposure, self.kept).frame(seed=seed, frame=frame)
 
 

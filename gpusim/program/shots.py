@@ -164,7 +164,9 @@ class Shots:
                                                  f"{camera.processor.target}{white}"]
         if plan.planned_for:
             notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
-                         "of the planes are of that")
+                         f"of the {'planes' if plan.mix is not None else 'blur left out'} are of that")
+        if plan.probed:
+            notes.append(f"probes: {plan.probed}")
         if error is not None and plan.varying is not None and len(blocks(scene.shape)) > 1:
             notes.append(f"the true error is that of {BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over "
                          "the field")

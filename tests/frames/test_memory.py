@@ -9,11 +9,16 @@ from devices import apart
 
 import gpusim as gs
 from gpusim.backends.opencl import OpenCLDevice
-from gpusim.domain.errors import DoesNotFit
+from gpusim.backends.warp import WarpDevice
+from gpusim.domain.errors import DoesNotFit, OutOfMemory
 from gpusim.domain.sensor import FLOAT_BITS
 
 SIZE = (330, 250)
-
+CODES = ["MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY"]  # of OpenCL's drivers
+WARPS = ["Failed to allocate 4294967296 bytes on device 'cuda:0'",
+         "Error launching kernel: k on device cuda:0: Warp CUDA error 2: out of memory"]
+MESSAGE = (r"^(opencl:\S+|warp:cpu) refused memory for {}: [^\n]*; it has [0-9.]+ GiB, which other processes may be "
+           "using: close them, or use a smaller scene, fewer frames in a batch or another device$")
 
 CAMERAS = {
     "phone": PHONE,
@@ -72,3 +77,71 @@ def test_nothing_is_allocated_of_what_does_not_fit(monkeypatch):
     with pytest.raises(DoesNotFit, match="one array of"):
         simulator(scene)
     assert sum(taken) < 1e5  # constants
+
+
+class Driver:
+    """pyopencl, but that it refuses kernels and buffers while it is told to, with this code."""
+
+    def __init__(self, own):
+        self.own, self.code = own, ""
+
+    def __getattr__(self, name):
+        def called(*args, **kwargs):
+            if self.code:
+                raise self.own.MemoryError(f"{name} failed: {self.code}")
+            return given(*args, **kwargs)
+
+        given = getattr(self.own, name)
+        return called if name in ("enqueue_nd_range_kernel", "Buffer") else given
+
+
+def refusing(code):
+    """A device, and a function that says whether its driver refuses from now on."""
+    if code not in WARPS:
+        device = apart()
+        device._cl = driver = Driver(device._cl)
+        return device, lambda is_on: setattr(driver, "code", code if is_on else "")
+    device, told = WarpDevice("cpu", "warp:cpu"), [False]
+
+    def refusable(given):
+        def called(*args, **kwargs):
+            if told[-1]:
+                raise RuntimeError(code)
+            return given(*args, **kwargs)
+
+        return called
+
+    device._timed, device._empty = refusable(device._timed), refusable(device._empty)
+    return device, told.append
+
+
+@pytest.mark.parametrize("code", [*CODES, *WARPS])
+def test_memory_that_a_driver_refuses(code):
+    """One line: for what, how much, what the device has, what to do; the program goes on when there is some.
+
+    Of a new program the scene's array is refused, or its first kernel; of one that goes on a kernel that was noted.
+    """
+    device, refuse = refusing(code)
+    simulator = gs.Simulator(PHONE, device=device, tolerance=4e-4)
+    program = simulator.program(scene_of(np.float32), 0.01)
+    wanted = [np.array(device.numpy(program.raw(seed=seed))) for seed in (1, 2)]
+    new = simulator.program(scene_of(np.float32), 0.01)
+    first = r"(a kernel of [a-z.]+|a copy of an array|an array of \S+ float32)"
+    for again, what in ((program, "a kernel of sensor.noise"), (new, first)):
+        refuse(True)
+        with pytest.raises(OutOfMemory, match=MESSAGE.format(rf"{what} \([0-9.e-]+ GiB\)")) as caught:
+            again.raw(seed=1)
+        refuse(False)
+        assert code in str(caught.value)
+        for seed in (1, 2):
+            np.testing.assert_array_equal(device.numpy(again.raw(seed=seed)), wanted[seed - 1])
+    refuse(True)
+    with pytest.raises(OutOfMemory, match=MESSAGE.format(r"an array of 1024x1024x1024 float32 \(4 GiB\)")):
+        device.empty((1024, 1024, 1024))
+
+
+def test_another_error_of_a_driver_stays_what_it_is():
+    device, refuse = refusing("INVALID_VALUE")
+    refuse(True)
+    with pytest.raises(device._cl.Error, match="INVALID_VALUE"):
+        device.empty((3, 4))

@@ -206,7 +206,7 @@ def test_a_stream_does_not_wait_for_its_metering(device, monkeypatch):
     for number, _ in enumerate(simulator.stream(scenes_of("materials", device))):
         if number == 2:
             reads = Reads(device, monkeypatch)
-    assert reads.steps == set()
+    assert reads.steps <= {"probes"}
 
 
 @pytest.mark.parametrize("device", KINDS)

@@ -169,6 +169,55 @@ def test_many_channels_are_never_seen_too_bright(response):
     assert np.sqrt(exact**2 - rest / signal) * (1 - 1e-6) <= kept <= 1.01 * exact
 
 
+def test_the_steepest_rows_are_those_of_the_largest_error(response):
+    """Pair by pair of rows: each one's own relative error times its own signal, over that of all."""
+    for table, transfers in operators(response):
+        for content in contents():
+            watch = replace(Watch.of(response, table, transfers, content), factor=1.3)
+            numbers = surveyed(watch, content)
+            signals = numbers[:, 0, :len(watch.flat)].sum(1)
+            squares = [watch.error(numbers[[k]]) ** 2 * signal for k, signal in enumerate(signals)]
+            assert watch.steepest(numbers) == pytest.approx(np.sqrt(max(squares) / signals.mean()), rel=1e-9)
+            assert watch.error(numbers) == pytest.approx(np.sqrt(np.mean(squares) / signals.mean()), rel=1e-9)
+
+
+def test_a_blur_that_is_left_out_is_watched(response):
+    """Every channel then errs sum over l of weights_cl (O_l(f) - O_l(0)) x_l(f): summed frequency by frequency."""
+    for content in list(contents())[:6]:
+        own = Spectra.of(content)
+        watch, expected = Watch.of_no_blur(response, content, content.shape, own)
+        total = 0.0
+        for weights, share in zip(response.weights, response.share, strict=True):
+            for power, column in zip(response.power, response.tables.T, strict=True):
+                row = weights * (column - response.tables[:, 0])
+                total += share * power * np.real(row.conj() @ own.differences @ row)
+        signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
+        assert expected == pytest.approx(np.sqrt(total / signal), rel=1e-9)
+        assert expected * (1 - 1e-9) <= watch.error(surveyed(watch, content)) <= 1.01 * expected
+        assert len(watch.inputs) == 0
+
+
+def test_how_many_more_planes_a_content_takes_is_told_to_a_plane(response):
+    """By a survey with three planes, against the error of every rank by all moments.
+
+    Down to a twentieth of it; below that most of the error may be what the rows leave out.
+    """
+    operator, contents = joint_operator(response, library()), (
+        natural((96, 64)).content, monochromatic((64, 96), np.random.default_rng(5)),
+        Cube(WAVELENGTHS, np.where(np.arange(31)[:, None, None] == 24, natural((96, 64)).content.values, 0)))
+    table, transfers = operator.w_in[:, :3].T, operator.transfers(3)
+    more = range(4, 12)
+    for content in contents:
+        watch, own = Watch.of(response, table, transfers, content), Spectra.of(content)
+        falls = watch.falling(wrong_moments(response, operator.w_in[:, :k].T, operator.transfers(k)) for k in more)
+        watch, numbers = replace(watch, falls=falls), surveyed(watch, content)
+        errors = [response.error(operator.w_in[:, :k].T, operator.transfers(k), own) for k in more]
+        for limit in np.geomspace(max(errors) / 20, max(errors), 7):
+            wanted = 1 + sum(error > limit for error in errors)
+            assert abs(watch.wanting(numbers, limit) - wanted) <= 1
+    assert replace(watch, falls=()).wanting(numbers, 1e-3) == 1
+
+
 def test_darkness_and_nan(response):
     table, transfers = next(operators(response))
     dark = Cube(WAVELENGTHS, np.zeros((31, 4, 5), np.float32))

@@ -45,9 +45,10 @@ def _must_stay(question, picture):
     """Whether a blur is not left out whatever that errs.
 
     It is asked for in a form or for every spectrum; it goes by distance or place, where one window does not tell it;
-    points of light are added to it; or it is what displaces the pixels by parts of samples.
+    points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
+    found to need it.
     """
-    return (question.fft_free or question.period or question.reach or question.guaranteed
+    return (question.least or question.fft_free or question.period or question.reach or question.guaranteed
             or question.facts.depth is not None or question.optics.varies or picture.highlights is not None
             or (question.more and question.ratio == 1))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
-from gpusim.planner.drift import Watch
+from gpusim.planner.drift import Watch, wrong_moments
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.models.field import varying_planes
@@ -191,17 +191,30 @@ def _fused(question, response, flat, planes, probes):
     operator = question.kept("operator", (response, prior), lambda: joint_operator(response, prior))
     most = min(operator.ranks[-1], planes - 1)
     for rank, bound in probes.fused(operator.w_in[:, :most].T, operator.transfers(most)):
+        if rank < question.least:
+            continue
+
         def make(rank=rank, bound=bound):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
             watch = Watch.of(response, inputs, transfers, content)
             expected = operator.predicted(rank, question.facts.spectra)
+            falls = watch.falling(wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
+                                  for more in range(rank + 1, most + 1))
             return Planes(flat, inputs @ content.entry_spectra.T, np.ones(transfers.shape[:2]), transfers,
-                          replace(watch, factor=bound.rms / expected if expected else 1.0))
+                          replace(watch, factor=bound.rms / expected if expected else 1.0, falls=falls))
 
         words = f"joint spectral operator of rank {rank} in place of {len(response.weights[0])} wavelengths"
         yield Way(rank, bound, words, make)
         if SAFETY * bound.ratio(question.tolerance) < ENOUGH:
             return
+
+
+def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
+    """Tells what a blur errs that is left out of other scenes. bound: of that of the question's own."""
+    flat = _flat(question)
+    watch, expected = Watch.of_no_blur(response_of(question, question.weights / flat, flat), question.content,
+                                       question.scene.samples, question.facts.spectra)
+    return replace(watch, factor=max(1.0, bound.rms / expected if expected else 1.0))
 
 
 def _guaranteed(question, response, flat, planes, probes):

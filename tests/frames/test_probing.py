@@ -1,0 +1,226 @@
+"""Estimates after the fact: a kept plan is compared with exact values of later scenes, and what missed is remembered.
+
+The truth is `gpusim.truth`: every wavelength by itself in float64, which shares no plan and no window with them.
+"""
+
+from dataclasses import replace
+
+import cameras
+import numpy as np
+import pytest
+from devices import ALL_KINDS
+
+import gpusim as gs
+from gpusim.domain.account import SAFETY
+from gpusim.domain.content import Basis
+from gpusim.program.probing import Probing, kind_of
+from gpusim.truth import true_error
+
+CAMERA, SIZE, SECONDS = gs.open_camera("phone"), (160, 120), 0.01
+TOLERANCE = gs.Tolerance(p999_sigma=0.02)
+LEAVES = gs.chart("deadleaves", size=SIZE)
+SPECTRA = np.ascontiguousarray(LEAVES.content.bands_at(slice(None)), np.float32)
+MEAN = SPECTRA.mean((1, 2), keepdims=True)
+DUE = (1, 5, 18, 58)  # each 3 n + 1 after the one before: 1, 4, 13, 40
+
+
+def scene_of(values, name):
+    return gs.Scene(gs.Cube(LEAVES.wavelengths, np.ascontiguousarray(values, np.float32)), LEAVES.illuminant, name=name)
+
+
+def even(name="even"):
+    """Edges of a quarter of the contrast all over the frame."""
+    return scene_of(MEAN + 0.25 * (SPECTRA - MEAN), name)
+
+
+def local(name="local"):
+    """Whole contrast in a small part of the frame alone, about as much in the mean square."""
+    inside = np.zeros(SIZE[::-1], bool)
+    inside[30:54, 40:70] = True
+    return scene_of(np.where(inside, SPECTRA, MEAN), name)
+
+
+def made(device, tolerance=TOLERANCE, camera=CAMERA):
+    return gs.Simulator(camera, device=device, tolerance=tolerance)
+
+
+def errs(program):
+    return true_error(program.simulator, program.scene, program.exposure)
+
+
+@pytest.fixture
+def unprobed(monkeypatch):
+    """A function after whose call the survey is all that looks at later scenes."""
+    return lambda: monkeypatch.setattr(Probing, "is_due", lambda *_: False)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_an_error_at_a_few_pixels_is_silent_without_probes(device, unprobed):
+    """As large in the root mean square as that of the plan's own scene, and beyond the tolerance in sigmas."""
+    unprobed()
+    program = made(device).program(even(), SECONDS)
+    first, own = program.plan, errs(program)
+    assert first.verdict.met
+    error = errs(program.update(scene=local()))
+    program.judge()
+    assert program.plan is first
+    assert error.rms < 1.1 * own.rms
+    assert error.p999_sigma > TOLERANCE.p999_sigma > 2 * own.p999_sigma
+    assert program.frame().report.verdict.met  # which it is not
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_an_error_at_a_few_pixels_is_found_before_the_frame(device):
+    program = made(device).program(even(), SECONDS)
+    planes = program.plan.count
+    program.raw()
+    assert errs(program.update(scene=local())).p999_sigma < TOLERANCE.p999_sigma
+    assert program.plan.count > planes
+    report = program.frame().report
+    assert any(f"probes: {planes} planes would miss: 0.0" in note for note in report.notes)
+    wanted = made(device).program(program.scene, SECONDS)  # at once the plan that the scene would have had
+    np.testing.assert_array_equal(np.array(wanted.frame().mean), np.array(program.frame().mean))
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_between_probes_the_survey_tells_when(device):
+    """A scene that is not due: errors of its rows rise. A report's frame is made anew, a stream's next one is right."""
+    for with_report in (True, False):
+        program = made(device).program(even(), SECONDS)
+        program.raw()
+        for number in range(2):
+            program.update(scene=even(f"even {number}")).raw()
+        first = program.plan
+        assert program.before.probing.count == 1
+        program.update(scene=local())
+        if with_report:
+            assert program.frame().report.verdict.met
+            assert program.plan.scene is program.scene
+        else:
+            program.raw()
+            assert program.plan is first
+            program.update(scene=local("again")).raw()
+        assert program.plan is not first
+        assert errs(program).p999_sigma < TOLERANCE.p999_sigma
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_a_miss_is_remembered(device):
+    """By scenes that would do with less, after scenes of another kind too; not by a camera that has other plans."""
+    program = made(device).program(even(), SECONDS)
+    few = program.plan.count
+    program.raw()
+    program.update(scene=local()).raw()
+    raised = program.plan
+    assert raised.count > few
+    for number in range(3):
+        for scene in (even(f"even {number}"), local(f"local {number}")):
+            program.update(scene=scene).raw()
+            assert program.plan is raised
+    program.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
+    program.update(scene=even()).raw()
+    assert program.plan.scene is program.scene
+    assert program.plan.count == raised.count
+    program.update(camera=replace(CAMERA, optics=replace(CAMERA.optics, f_number=2.0))).raw()
+    program.update(camera=CAMERA).raw()
+    assert program.plan.count == few
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_probes_become_rare_and_change_no_bits(device, monkeypatch):
+    """Of 60 scenes that do not change four are probed."""
+    simulator = made(device, 1e-3)
+    scenes, probed = cameras.cubes(1, (32, 24)) * 61, []
+    scenes = [replace(scene, name=str(number)) for number, scene in enumerate(scenes)]
+    found = Probing.found
+    monkeypatch.setattr(Probing, "found", lambda self, scene, *more: probed.append(int(scene.name)) or found(
+        self, scene, *more))
+    frames = [np.array(simulator.device.numpy(frame)) for frame in simulator.stream(
+        scenes, "raw", seed=1, exposure_time=SECONDS)]
+    assert probed == [*DUE]
+    monkeypatch.setattr(Probing, "is_due", lambda *_: False)
+    for frame, wanted in zip(frames, simulator.stream(scenes, "raw", seed=1, exposure_time=SECONDS), strict=True):
+        np.testing.assert_array_equal(frame, simulator.device.numpy(wanted))
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_a_plan_without_blur_is_not_kept_for_edges(device):
+    """A film that begins with an even frame: whether a scene is probed or surveyed, it is blurred; and ever since."""
+    flat = scene_of(np.broadcast_to(MEAN, SPECTRA.shape), "flat")
+    for more in (0, 2):
+        program = made(device).program(flat, SECONDS)
+        program.raw()
+        for number in range(more):
+            program.update(scene=replace(flat, name=f"flat {number}")).raw()
+        assert program.plan.mix is None
+        program.update(scene=local()).raw()
+        if more:  # not due
+            assert program.plan.mix is None
+            program.judge()
+        assert errs(program).p999_sigma < TOLERANCE.p999_sigma
+        program.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
+        assert program.update(scene=flat).plan.mix is not None
+
+
+def forms():
+    """A picture in every form that has more entries than planes."""
+    yield LEAVES
+    vectors = np.linalg.svd(SPECTRA.reshape(31, -1).astype(np.float64), full_matrices=False)[0][:, :20]
+    yield replace(LEAVES, content=Basis(LEAVES.wavelengths, np.tensordot(vectors.T, SPECTRA, 1).astype(np.float32),
+                                        vectors.T))
+    yield scene_of(SPECTRA, "cube")
+
+
+@pytest.mark.parametrize("tolerance", [2e-3, "video"])
+@pytest.mark.parametrize("scene", list(forms()), ids=lambda scene: scene.content.form)
+def test_probes_tell_the_true_error_of_a_plans_own_planes(scene, tolerance):
+    """Of another scene by the plan of this one, upside down: within the safety, and above half of it."""
+    simulator = made("opencl", tolerance)
+    program = simulator.program(scene, SECONDS)
+    program.raw()
+    assert program.plan.watch is not None
+    turned = scene.content.with_samples(lambda array: np.ascontiguousarray(array[..., ::-1, ::-1]))
+    report = program.update(scene=replace(scene, content=turned, name="turned")).frame().report
+    assert any("this scene's" in note for note in report.notes)
+    error, predicted = errs(program), report.account.total
+    assert 0.5 < SAFETY * predicted.rms / error.rms < SAFETY**2 * 2
+    assert error.p999_sigma < SAFETY * predicted.p999_sigma
+
+
+def test_reports_between_probes_say_when_it_was():
+    """And scale what was found by what the survey saw since: another contrast."""
+    program = made("opencl").program(even(), SECONDS)
+    program.raw()
+    found = program.update(scene=even("probed")).frame().report
+    assert any(note == "probes: this scene's" for note in found.notes)
+    half = scene_of(MEAN + 0.125 * (SPECTRA - MEAN), "half")
+    later = program.update(scene=half).frame().report
+    assert any("probes: those of probed, 1 scenes ago, and what the device saw of this one" in note
+               for note in later.notes)
+    # half the differences, over a mean that is the same but for its variance, which is below 0.25^2 of it
+    assert later.account.bounds["planes"].p999_sigma == pytest.approx(
+        found.account.bounds["planes"].p999_sigma / 2, rel=0.5 * 0.25**2)
+    assert later.verdict.met
+
+
+def test_what_rises_now_and_then_is_probed_a_few_times():
+    """Two kinds of frames in turn, of which one errs more: a probe for the rise, and no more than for one kind."""
+    plan, probing, count = made("numpy").plan(even(), None, SECONDS), Probing(), 0
+    probing.planned(plan)
+    for number in range(1, 1000):
+        scene = replace(even(), name=str(number)) if number < 3 else replace(plan.scene, name=str(number))
+        if probing.is_due(plan, scene):
+            count += 1
+            probing.found(scene, plan.account, True)
+        probing.surveyed(plan, scene, *((1e-4, 1e-3), (1.3e-4, 1e-3), (1e-4, 1.4e-3))[number % 3])
+    assert count < 3 * np.log(1000) / np.log(3)  # the first ones, and after each of two rises
+
+
+def test_kinds_are_those_that_a_plan_serves():
+    plan = made("numpy").plan(even(), None, SECONDS)
+    others = [even("another"), local(), gs.chart("colorchecker", size=SIZE), replace(even(), border="zero"),
+              replace(even(), illuminant=gs.chart("flat", light="A").illuminant),
+              scene_of(SPECTRA[:, :40], "smaller"), replace(even(), samples_per_pixel=2.0)]
+    for other in others:
+        assert (kind_of(other) == kind_of(plan.scene)) == plan.serves(other)
+    assert sum(map(plan.serves, others)) == 2
