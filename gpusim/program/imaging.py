@@ -195,11 +195,14 @@ class Imaging:
     def _evenness(self, plan, shape):
         """What keeps flat frames flat, of every channel and pixel: (C, rows, cols).
 
-        Pixels gather from places whose kernels differ; this is the rate of a flat field of the mean of the content's
-        entries over what they gather of that. shape: of the planes.
+        Pixels gather from places whose kernels differ; this is the rate of a flat field, as white as the content's
+        entries can be mixed, over what they gather of that. shape: of the planes.
         """
         def gains():
-            levels = np.ones(shape[0]) if plan.table is None else plan.table.mean(axis=1)
+            entries = plan.content.entry_spectra
+            levels = np.linalg.lstsq(entries.T, np.ones(entries.shape[1]), rcond=1e-6)[0]
+            if plan.table is not None:
+                levels = plan.table @ levels
             flat = self.device.array(np.broadcast_to(levels[:, None, None], shape).astype(np.float32))
             alike = self._blurred_alike(plan, flat, "edge")
             alike = np.array(self.device.numpy(alike), np.float64)  # the field is added to it
