@@ -102,8 +102,8 @@ class Content:
         return replace(self, **{name: change(getattr(self, name)) for name in self.samples})
 
     def take(self, rows, cols=None):
-        """Content of which each sample is that at (rows, cols), two arrays of one shape; of whole rows (n,) alone."""
-        return self.with_samples(lambda array: array[..., rows, :] if cols is None else array[..., rows, cols])
+        """Content of which each sample is that at (rows, cols), two arrays that broadcast; or of whole rows (n,)."""
+        return self.with_samples(lambda array: np.take(array, rows, -2) if cols is None else array[..., rows, cols])
 
     def behind(self, front, mask):
         """Content with the samples of `front`, of the same kind, where the mask (rows, cols) is true."""

@@ -12,7 +12,7 @@ light is smooth, so a coarse grid is enough for it.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import prod, sqrt
 from typing import Any
 
@@ -161,19 +161,26 @@ class Outside:
         """
         if not (self.level > 0 and self.tail):
             return 0.0, 0.0, 0.0
-        margin, light = self.margin, self.image
+        light = self.image
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / CELLS, max(period) / LEAST_CELLS), 1)
         coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc)
+        rows, cols, sigma = self._probed
+        error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
+        sigmas = error / sigma
+        return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
+
+    @cached_property
+    def _probed(self):
+        """Rows and columns where the error is told; the root of light and noise over the level where they cross."""
+        light, margin = self.image, self.margin
         rows, cols = (np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
                       for n in light.shape)
-        error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
         y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
         local = light[y].mean(axis=1)[:, x].mean(axis=2)
-        sigmas = error / np.sqrt(np.maximum(local / self.level, 0) + self.noise)
-        return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
+        return rows, cols, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
 
 
 def most_reach(shape, longest: int) -> int:

@@ -16,8 +16,11 @@ from gpusim.planner.sampling import Moments, moments
 class Samples(Protocol):
     """What is read of a content, which may be on a device: see `gpusim.program.reading.Reading`."""
 
-    def taken(self, rows, cols=None) -> Content:
-        """Windows of the samples, one above the other, in host memory; rows (n, h) and cols (n, w), int, or all."""
+    def rows(self, chosen) -> Content:
+        """Whole rows of the samples, int (n,), in host memory."""
+
+    def windows(self, rows, cols) -> Content:
+        """Windows of the samples, rows (n, h) and cols (n, w), int: arrays (..., n, h, w) in host memory, all new."""
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), a new array."""
@@ -32,11 +35,22 @@ class OnHost:
     def __init__(self, content: Content):
         self._content = content
 
-    def taken(self, rows, cols=None) -> Content:
+    def rows(self, chosen) -> Content:
         """See `Samples`."""
-        if cols is None:
-            return self._content.take(rows.ravel())
-        return self._content.take(rows.reshape(-1, 1), np.repeat(cols, rows.shape[1], axis=0))
+        return self._content.take(chosen)
+
+    def windows(self, rows, cols) -> Content:
+        """See `Samples`."""
+        def taken(array):
+            found = np.empty((len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]), array.dtype)
+            for window, y, x in zip(found, rows, cols, strict=True):
+                if (np.diff(y) == 1).all() and (np.diff(x) == 1).all():
+                    window[:] = array[..., y[0] : y[-1] + 1, x[0] : x[-1] + 1]
+                else:
+                    window[:] = array[..., y[:, None], x]
+            return np.moveaxis(found, 0, -3)
+
+        return self._content.on_host().with_samples(taken)
 
     def brightness(self, total) -> np.ndarray:
         """See `Samples`."""
@@ -71,7 +85,7 @@ class Facts:
         """Evenly spaced pairs of neighbouring rows, one above the other, in host memory."""
         rows, cols = self.content.shape
         first = row_pairs(rows, cols)
-        return self.samples.taken(np.stack([first, np.minimum(first + 1, rows - 1)], axis=1).reshape(1, -1))
+        return self.samples.rows(np.stack([first, np.minimum(first + 1, rows - 1)], axis=1).ravel())
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -79,11 +93,11 @@ class Facts:
         return Spectra.of_pairs(self.pairs)
 
     def brightness(self, total) -> np.ndarray:
-        """Sums over wavelength by `total` (L,): float32 (rows, cols), a copy."""
+        """Sums over wavelength by `total` (L,): float32 (rows, cols), not to be written to."""
         key, found = total.tobytes(), self._brightness
         if found is None or found[0] != key:
             found = self._brightness = key, self.samples.brightness(total)
-        return found[1].copy()
+        return found[1]
 
     def channels(self, weights) -> np.ndarray:
         """What the pairs give to channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""

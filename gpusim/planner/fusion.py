@@ -127,9 +127,10 @@ class Spectra:
             else:
                 labelled = ids, np.asarray(pairs.planes, np.float64)
                 return cls(*_labelled_moments(*labelled, entries[used]))
-        lines, cols = pairs.planes.swapaxes(0, 1), pairs.shape[1]
-        values, differences = np.zeros((2, len(entries), len(entries)))
-        for upper, lower in zip(lines[::2].astype(np.float64), lines[1::2], strict=True):  # each in the cache
+        # float32 sums of a cube's rows, a tenth of a plan's time in float64; differences of neighbours are exact
+        lines = pairs.planes.swapaxes(0, 1).astype(np.float32 if pairs.is_spectral else np.float64, copy=False)
+        cols, (values, differences) = pairs.shape[1], np.zeros((2, len(entries), len(entries)))
+        for upper, lower in zip(lines[::2], lines[1::2], strict=True):
             across, down = np.diff(upper), lower - upper
             values += upper @ upper.T / cols
             differences += across @ across.T / max(cols - 1, 1) + down @ down.T / cols

@@ -224,12 +224,12 @@ def _planes(facts, windows, border):
     """
     rows, cols = facts.content.shape
     y, x = (border_indices(at, n, border) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    taken, spectra = facts.samples.taken(y, x), None
+    taken, spectra = facts.samples.windows(y, x), None
     if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
         planes, spectra = taken.planes, taken.entry_spectra
     else:
         planes = taken.planes if taken.is_spectral else taken.mixed(taken.entry_spectra.T.astype(np.float32))
-    planes = np.array(planes.reshape(len(planes), -1, SIDE, SIDE).swapaxes(0, 1), np.float32, order="C")
+    planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
     if border == "zero":
         planes *= ((y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :])[:, None]
     return planes, spectra

@@ -74,30 +74,36 @@ class Reading:
             stored = store(device, content)
         self._stored = stored
 
-    def taken(self, rows, cols=None) -> Content:
-        """Windows of the samples, one above the other, in host memory: content of shape (n h, w).
-
-        rows: int, shape (n, h). cols: int, shape (n, w); by default all. Both are clipped to the frame. Of a picture it
-        is a Basis; samples of float16 that come from a device are float32 of the same values.
-        """
-        content = self.content
+    def rows(self, chosen) -> Content:
+        """Whole rows of the samples, int (n,), clipped to the frame, in host memory: see `windows`."""
         if self._stored is None:
-            height, width = content.shape
-            return OnHost(content).taken(np.clip(rows, 0, height - 1), None if cols is None else np.clip(
-                cols, 0, width - 1))
-        entries, ids = self._stored
-        light = self._windows(entries, rows, cols, np.float32)
+            return OnHost(self.content).rows(np.clip(chosen, 0, self.content.shape[0] - 1))
+        return self._read(lambda samples, dtype: self._taken(samples, dtype, chosen[None])[..., 0, :, :])
+
+    def windows(self, rows, cols) -> Content:
+        """Windows of the samples in host memory: content whose arrays have the shape (..., n, h, w).
+
+        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture it is a Basis;
+        samples of float16 that come from a device are float32 of the same values.
+        """
+        if self._stored is None:
+            height, width = self.content.shape
+            return OnHost(self.content).windows(np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1))
+        return self._read(lambda samples, dtype: self._taken(samples, dtype, rows, cols))
+
+    def _read(self, taken):
+        """Content of what a function takes of stored samples, as this type."""
+        content, (entries, ids) = self.content, self._stored
+        light = taken(entries, np.float32)
         if isinstance(content, Materials):
-            return replace(content, ids=self._windows(ids, rows, cols, np.uint16), shading=light)
+            return replace(content, ids=taken(ids, np.uint16), shading=light)
         if isinstance(content, Picture):
             return Basis(content.wavelengths, light, content.basis)
         return content.with_planes(light)
 
-    def _windows(self, samples, rows, cols, dtype):
-        """Windows of stored samples as a new array of the host, shape (..., n h, w)."""
-        found = self.device.numpy(take(samples, rows, cols, device=self.device))
-        count, *entries, height, width = found.shape
-        return np.array(np.moveaxis(found, 0, -3), dtype, order="C").reshape(*entries, count * height, width)
+    def _taken(self, samples, dtype, rows, cols=None):
+        """Windows of stored samples as a new array of the host."""
+        return np.moveaxis(np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3)
 
     def whole(self) -> Content:
         """All samples, in host memory; of a picture its codes. Raises BadData."""

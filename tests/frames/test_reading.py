@@ -33,8 +33,8 @@ FORMS = {
                        np.linspace(0, 1, 256) ** 2.2),
     "grey": Picture(WAVELENGTHS, RANDOM.integers(0, 2**16, SHAPE, np.uint16), SPECTRA[:1], np.linspace(0, 1, 2**16)),
 }
-ROWS = np.array([[0, 1, 2, 36], [-5, 36, 40, 3], [7, 7, 8, 9]], np.int32)
-COLS = np.array([[0, 52, 3], [60, -1, 51], [5, 5, 4]], np.int32)
+ROWS = np.array([[0, 1, 2, 36], [-5, 36, 40, 3], [7, 7, 8, 9], [5, 6, 7, 8]], np.int32)
+COLS = np.array([[0, 52, 3], [60, -1, 51], [5, 5, 4], [50, 51, 52]], np.int32)
 
 
 @pytest.fixture(params=FORMS)
@@ -61,23 +61,32 @@ def readings(name, content):
 def test_windows_are_the_samples_themselves(name, content):
     seen = content.on_host()
     rows, cols = np.clip(ROWS, 0, SHAPE[0] - 1), np.clip(COLS, 0, SHAPE[1] - 1)
-    of_host = Reading(open_device(name), content).taken(ROWS, COLS)
-    for found in (of_host, *(each.taken(ROWS, COLS) for each in readings(name, content))):
-        assert type(found) is type(seen) and found.is_like(seen) and found.shape == (12, 3)
+    of_host = Reading(open_device(name), content).windows(ROWS, COLS)
+    for found in (of_host, *(each.windows(ROWS, COLS) for each in readings(name, content))):
+        assert type(found) is type(seen) and found.is_like(seen) and found.shape == (4, 3)
         for key in seen.samples:
             values, samples = getattr(found, key), getattr(seen, key)
             assert type(values) is np.ndarray and values.dtype.kind == samples.dtype.kind
-            for window in range(3):
+            for window in range(4):
                 for line, row in enumerate(rows[window]):
                     wanted = samples[..., row, :][..., cols[window]]
-                    np.testing.assert_array_equal(values[..., 4 * window + line, :], wanted)
+                    np.testing.assert_array_equal(values[..., window, line, :], wanted)
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
 def test_no_windows_are_no_samples(name, content):
-    for found in (each.taken(ROWS[:0], COLS[:0]) for each in (Reading(open_device(name), content),
+    for found in (each.windows(ROWS[:0], COLS[:0]) for each in (Reading(open_device(name), content),
                                                               *readings(name, content))):
-        assert found.shape == (0, 3)
+        assert found.planes.shape[-3:] == (0, 4, 3)
+
+
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_rows_are_the_samples_themselves(name, content):
+    seen, chosen = content.on_host(), np.array([36, 3, -2, 40, 3])
+    for found in (each.rows(chosen) for each in (Reading(open_device(name), content), *readings(name, content))):
+        assert type(found) is type(seen) and found.is_like(seen)
+        for key in seen.samples:
+            np.testing.assert_array_equal(getattr(found, key), getattr(seen, key)[..., [36, 3, 0, 36, 3], :])
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
@@ -101,7 +110,7 @@ def test_brightness_is_that_of_the_host(name, content):
 
 
 @pytest.mark.parametrize("name", ALL_KINDS)
-@pytest.mark.parametrize("read", [lambda shown: shown.taken(ROWS[:1], COLS[:1]).values,
+@pytest.mark.parametrize("read", [lambda shown: shown.windows(ROWS[:1], COLS[:1]).values,
                                   lambda shown: shown.brightness(np.ones(31))], ids=["windows", "brightness"])
 def test_what_was_read_stays(name, read):
     """It is no view of the device's memory, to which a step that is made again writes."""
@@ -123,9 +132,9 @@ def test_the_whole_is_not_read(name, monkeypatch):
     shown, read = Reading(device, there(device, content)), []
     original = device.numpy
     monkeypatch.setattr(device, "numpy", lambda array: read.append(array.shape) or original(array))
-    shown.taken(ROWS, COLS)
+    shown.windows(ROWS, COLS)
     shown.brightness(np.ones(31))
-    assert sorted(map(tuple, read)) == [(1, *SHAPE), (3, 31, 4, 3)]
+    assert sorted(map(tuple, read)) == [(1, *SHAPE), (4, 31, 4, 3)]
     monkeypatch.setattr(reading, "take", None)
     monkeypatch.setattr(reading, "store", None)
-    assert type_of(Reading(device, FORMS["half"]).taken(ROWS, COLS).values) == np.float16
+    assert type_of(Reading(device, FORMS["half"]).windows(ROWS, COLS).values) == np.float16

@@ -62,6 +62,27 @@ def surveyed(watch, content):
     return survey(content.planes, exact, watch.first, content.labels)
 
 
+def spectra_by_hand(content):
+    """`Spectra.of`, in float64 and of the spectra themselves."""
+    rows, cols = content.shape
+    first = row_pairs(rows, cols)
+    upper, lower = content.bands_at(first), content.bands_at(np.minimum(first + 1, rows - 1))
+    values, down, across = (np.einsum("lyx,myx->lm", part, part) / max(part[0].size, 1)
+                            for part in (upper, lower - upper, np.diff(upper, axis=2)))
+    return Spectra(values, down + across)
+
+
+def test_moments_are_those_of_the_spectra():
+    """To float64's rounding; of cubes to that of float32 sums of a row, relative to the magnitudes of its terms."""
+    for content in contents():
+        own, exact = Spectra.of(content), spectra_by_hand(content)
+        allowed = (content.shape[1] * 2.0**-24 if content.is_spectral else 1e-12)
+        for name in ("values", "differences"):
+            wanted = getattr(exact, name)
+            terms = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+            assert (np.abs(getattr(own, name) - wanted) <= allowed * terms).all()
+
+
 def moments_by_hand(response, table, transfers):
     """M, channel by channel: W_c = sum over k of transfers_ck table_k^T - diag(weights_c), M = sum share W^T G W."""
     total = 0
@@ -102,7 +123,7 @@ def test_projections_give_the_error_of_all_moments(response):
     for table, transfers in operators(response):
         moments = moments_by_hand(response, table, transfers)
         for content in contents():
-            watch, own = Watch.of(response, table, transfers, content), Spectra.of(content)
+            watch, own = Watch.of(response, table, transfers, content), spectra_by_hand(content)
             numbers = surveyed(watch, content)
             signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
             exact = response.error(table, transfers, own) ** 2

@@ -33,9 +33,13 @@ class Counted(OnHost):
         super().__init__(content)
         self.read = []
 
-    def taken(self, rows, cols=None):
-        self.read.append(rows.size * SHAPE[1] if cols is None else rows.size * cols.shape[1])
-        return super().taken(rows, cols)
+    def rows(self, chosen):
+        self.read.append(chosen.size * SHAPE[1])
+        return super().rows(chosen)
+
+    def windows(self, rows, cols):
+        self.read.append(rows.size * cols.shape[1])
+        return super().windows(rows, cols)
 
     def brightness(self, total):
         self.read.append("brightness")

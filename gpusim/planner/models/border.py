@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, sqrt
 
 import numpy as np
@@ -21,19 +22,27 @@ from gpusim.planner.question import Question
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surroundings:
     """What of the world around the frame takes part in the blur.
 
     reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
-    lengths of the transforms [sample]. folds: whether the mosaic folds into these. bound: error of what is not seen.
+    lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
+    level: electrons of the frame's root mean square.
     """
 
     reach: int
     reaches: list[int]
     period: tuple[int, int]
     folds: bool
-    bound: Bound
+    outside: Outside
+    level: float
+
+    @cached_property
+    def bound(self) -> Bound:
+        """Error of what is not seen."""
+        rms, most, largest = self.outside.error(self.period, min(self.reaches))
+        return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
 
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
@@ -65,8 +74,7 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
             rows, cols = question.size
             raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
                              "samples", "what the transforms take: a smaller scene, reach or aperture")
-        rms, most, largest = outside.error(period, min(reaches))
-        return Surroundings(reach, reaches, period, folds, Bound(rms, most * sqrt(level), largest * sqrt(level)))
+        return Surroundings(reach, reaches, period, folds, outside, level)
 
     if reach is not None:
         yield around(reach)

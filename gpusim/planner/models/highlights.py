@@ -69,6 +69,7 @@ def split(question: Question) -> tuple[Question, Picture]:
     picture = Picture(brightness, level, highest, None)
     if not _can_be_split(question) or not picture.is_spiky:
         return question, picture
+    brightness = brightness.copy()
     content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
