@@ -49,11 +49,13 @@ def total(bounds: Iterable[Bound]) -> Bound:
 class Account:
     """Named errors of the mean electrons, predicted for the scene as sampled.
 
-    seconds: exposure time that they are predicted for [s]. The root mean square does not depend on it.
+    seconds: exposure time that they are predicted for [s]. The root mean square does not depend on it. doubt: why they
+    are not sure enough for a tolerance to be called met, "" where they are.
     """
 
     bounds: dict[str, Bound] = field(default_factory=dict)
     seconds: float = 1.0
+    doubt: str = ""
 
     @property
     def total(self) -> Bound:
@@ -68,7 +70,7 @@ class Account:
         ratio = seconds / self.seconds
         factor = ratio if ratio > 1 else ratio**0.5
         return Account({name: Bound(one.rms, one.p999_sigma * factor, one.max_sigma * factor)
-                        for name, one in self.bounds.items()}, seconds)
+                        for name, one in self.bounds.items()}, seconds, self.doubt)
 
     def verdict(self, tolerance: Tolerance, remedy: str = "") -> "Verdict":
         """Whether the tolerance is met, by what is predicted. remedy: what would meet it, where it is not."""
@@ -76,6 +78,8 @@ class Account:
         shares = {name: getattr(one, figure) for name, one in self.bounds.items()}
         met, by = SAFETY * ratio <= 1, max(shares, key=lambda name: shares[name], default="")
         words = f"{value:.2g} of {bound:.2g}{unit}, predicted"
+        if met and self.doubt:
+            return Verdict(False, f"{words}, but not to be sure of: {self.doubt}", by, "a larger frame would be met")
         if not met:
             words += f" (times {SAFETY:g} to be sure), most of it {by}: {shares[by]:.2g}"
         return Verdict(met, words, by, "" if met else remedy)

@@ -16,6 +16,7 @@ from gpusim.planner.field import FieldBlur
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.models.field import doubt_of
 from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
@@ -205,7 +206,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     if one_distance:
         notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
     weights, planes = question.weights, seen.planes
-    account = Account(notes.bounds, operation.seconds)
+    account = Account(notes.bounds, operation.seconds, doubt_of(question))
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,

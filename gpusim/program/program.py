@@ -142,11 +142,9 @@ class Program:
         It is dropped where it does not.
         """
         self.judge()
-        if self.before.plan is None:
-            return False
-        simulator, scene, plan, probing = self.simulator, self.scene, self.plan, self.before.probing
-        if not probing.is_due(plan, scene):
-            return True
+        simulator, scene, probing = self.simulator, self.scene, self.before.probing
+        if self.before.plan is None or not probing.is_due(plan := self.plan, scene):
+            return self.before.plan is not None
         seconds = simulator.camera.sensor.exposure_time if self._exposure_time is None else self._exposure_time
         if seconds is None and self.meters_late and self._metered:
             seconds = self._metered[0]
