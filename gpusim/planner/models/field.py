@@ -36,11 +36,11 @@ def varying_planes(question: Question, response: Response, prior, flat):
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
     strength = np.sqrt(np.einsum("kl,lm,km->k", table, differences, table))
     whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat))
-    strength = np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12)
+    strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
     contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
-    varying = _rest(question, transfers * flat, limit / contrast, count)
+    varying = _rest(question, transfers * flat, _stepped(limit / contrast), count)
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, _misplaced(question, varying)))
     return table, transfers[None], mix, varying, error, (
@@ -71,6 +71,11 @@ def _rest(question, transfers, limit, count) -> FieldBlur:
     of = lens, wavelengths, transfers, shape, question.corner, limit
     return question.kept("field plan", (*of, count), lambda: choose(
         Differences(*of[:-1], limit / 8), shape, limit / 2 / np.sqrt(count)))
+
+
+def _stepped(values):
+    """Values down to the next power of 2^(1/2), so that scenes that are alike take the same plan of the field."""
+    return np.exp2(np.floor(2 * np.log2(values)) / 2)
 
 
 def _misplaced(question, varying):
