@@ -94,7 +94,7 @@ def _rates(reference, camera, scene, own):
 
 def _reference(simulator, camera, scene, plan):
     """Simulator in float64 whose transforms are as long as this scene needs."""
-    if plan.mix is None:
+    if camera.optics.model == "none":  # a plan may leave out a blur that there is
         return simulator(camera, device="numpy")
     optics, shape = camera.optics, [n + 2 * scene.margin for n in scene.samples]
     spread = spread_radius(optics, scene.wavelengths, camera.sensor.pixel_pitch / scene.samples_per_pixel)

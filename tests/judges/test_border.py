@@ -194,3 +194,17 @@ def test_an_exact_frame_says_what_it_leaves_out():
     line, = (line for line in report.left_out if "outside the frame" in line)
     assert "64 pixels" in line and f"{report.account.bounds['border'].rms:.2g}" in line
     assert 1 / 2.5 < report.prediction_ratio < 2.5 and report.error.rms > 1e-4
+
+
+def test_the_truth_does_not_know_the_plan():
+    """A plan that leaves the blur out is judged by the same world without end as one that is exact."""
+    scene = gs.chart("deadleaves", size=(48, 40))
+    camera = gs.open_camera("machine-vision")
+    camera = replace(camera, optics=replace(camera.optics, f_number=8.0))
+    truths = []
+    for tolerance in (None, 0.9):
+        simulator = gs.Simulator(camera, device="numpy", tolerance=tolerance)
+        exposure = simulator.expose(scene, 0.01)
+        assert (exposure.plan.mix is None) is (tolerance is not None)
+        truths.append(true_mean(gs.Simulator, camera, scene, exposure.plan, 0.01))
+    np.testing.assert_array_equal(*truths)
