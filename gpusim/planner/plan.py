@@ -260,7 +260,7 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     limit = None
     if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
-        limit = max((question.limit**2 - rest**2), 0.0) ** 0.5
-        limit = max(limit, HEADROOM * option.way.bound.rms)
+        own = HEADROOM * total((Bound(rest), option.way.bound)).rms  # what is missed already may be missed as much
+        limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
     return _Seen(planes, option.around, folded, limit, () if tolerance is None else front(found, tolerance),
                  needed)

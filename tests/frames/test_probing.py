@@ -224,3 +224,16 @@ def test_kinds_are_those_that_a_plan_serves():
     for other in others:
         assert (kind_of(other) == kind_of(plan.scene)) == plan.serves(other)
     assert sum(map(plan.serves, others)) == 2
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_what_the_border_breaks_raises_no_planes(device):
+    """A survey that finds planes a little worse than probes did says nothing where the border errs ten times that."""
+    scenes = [scene_of(SPECTRA * gain, f"times {gain}") for gain in np.float32((1, 1.01))]
+    program = made(device, 1e-6).program(scenes[0], SECONDS)
+    first = program.plan
+    assert not first.verdict.met and first.verdict.by == "border"
+    for number in range(6):
+        program.update(scene=scenes[number % 2]).raw()
+    program.judge()
+    assert program.plan is first
