@@ -10,6 +10,7 @@ import numpy as np
 
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import stage_module
+from gpusim.optics.splines import multiplications
 from gpusim.planner.plan import Plan
 
 ONCE = ("optics.airy", "optics.pupil", "sensor.pattern")  # stages that run once for a camera
@@ -35,6 +36,8 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
         work["optics.distort"] = planes * samples
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)
+    if plan.far is not None:
+        work["optics.far"] = multiplications(content.shape, planes, channels, plan.far.sigmas)
     if plan.highlights is not None:
         across = np.minimum(2 * plan.highlights.reach, max(content.shape))
         work["optics.splat"] = float(np.square(across, dtype=np.float64).sum()) * (1 if plan.folded else channels)
@@ -77,6 +80,8 @@ def of_bench(stage: str, inputs: dict, rows: int, cols: int) -> float:
         return float(len(inputs["first"]) * width * entries)
     if stage in ("optics.mosaic", "optics.blur"):
         return float(stage_module(stage).operations(**inputs))
+    if stage == "optics.far":
+        return multiplications((rows, cols), inputs["weights"].shape[1], inputs["weights"].shape[0], inputs["sigmas"])
     if stage == "optics.splat":
         return len(inputs["places"]) * float(max(rows, cols)) ** 2
     if stage == "optics.field":

@@ -171,6 +171,11 @@ class Outside:
         sigmas = error / sigma
         return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations of the noise where the error is told, over the root of the electrons at the level."""
+        return self._probed[2]
+
     @cached_property
     def _probed(self):
         """Rows and columns where the error is told; the root of light and noise over the level where they cross."""

@@ -12,6 +12,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
+from gpusim.planner.farfield import FarField
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
@@ -58,6 +59,7 @@ class Plan:
     models: stage -> what is modelled, and why; left_out: what is not. account: named errors of the scene as sampled.
     beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one. front: the
     options that were cheaper, or more accurate, from the cheapest on.
+    far: what the world beyond the blur's reach is left to; None: it is not seen.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then. probed: which scene's probes told the others, or why the plan was made anew.
     """
@@ -95,6 +97,7 @@ class Plan:
     planned_for: str = ""
     probed: str = ""
     tolerance: Tolerance | None = None
+    far: FarField | None = None
 
     @property
     def count(self) -> int:
@@ -214,7 +217,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
         notes.left_out, account, notes.beside,
         None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.front,
-        tolerance=tolerance)
+        tolerance=tolerance, far=seen.around.far if seen.around else None)
 
 
 @dataclass(frozen=True, eq=False)

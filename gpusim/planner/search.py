@@ -2,16 +2,20 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from math import log2, prod
 
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.splines import multiplications
 from gpusim.planner.models.border import Surroundings
 from gpusim.planner.models.spectral import Way
 from gpusim.planner.question import Question
 
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
 CACHED = 2**21  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
+FAR_COST = 3.5  # [flop] of a multiplication of the far field, measured beside transforms
+WIDER = 2.0  # times the exact way's samples that transforms may have, for a world without end beyond
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
 
@@ -41,33 +45,40 @@ class Option:
         return HEADROOM * SAFETY * self.total.ratio(tolerance) <= 1
 
 
-def cost_of(question: Question, count: int, period, folded: bool) -> float:
+def cost_of(question: Question, count: int, around: Surroundings, folded: bool) -> float:
     """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
 
     count: planes that are transformed. It does not depend on a device, so that plans are the same on all.
     """
     content, channels = question.content, len(question.weights)
-    samples, area = prod(content.shape), float(prod(period))
+    samples, area = prod(content.shape), float(prod(around.period))
     transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
     products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
-    return (count + back) * transform + products + FLOP_PER_BYTE * read
+    far = 0.0
+    if around.far is not None:
+        far = FAR_COST * multiplications(question.size, count, channels, around.far.sigmas)
+    return (count + back) * transform + products + far + FLOP_PER_BYTE * read
 
 
-def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings], fixed: dict[str, Bound],
+def options(question: Question, ways: list[Way], arounds: Iterable[list[Surroundings]], fixed: dict[str, Bound],
             folds) -> list[Option]:
-    """Ways in more and more of the surroundings, none dearer than the exact one in the first.
+    """Ways in more and more surroundings, none dearer than the exact one in the first, or in a world without end.
 
     fixed: errors of all. folds: function from surroundings to whether the mosaic folds into the transforms.
     """
     found: list[Option] = []
-    most = 0.0
-    for around in arounds:
-        costs = [cost_of(question, way.count, around.period, folds(around)) for way in ways]
-        most = most or costs[-1]
-        affordable = [Option(way, around, fixed | {"planes": way.bound, "border": around.bound}, cost)
-                      for way, cost in zip(ways, costs, strict=True) if cost <= most]
+    most, first = 0.0, None
+    for together in arounds:
+        affordable = []
+        for around in together:
+            costs = [cost_of(question, way.count, around, folds(around)) for way in ways]
+            first = first or around
+            if around is first or (around.far is not None and prod(around.period) <= WIDER * prod(first.period)):
+                most = max(most, costs[-1])  # the exact way, and with a world without end
+            affordable += [Option(way, around, fixed | {"planes": way.bound, "border": around.bound}, cost)
+                           for way, cost in zip(ways, costs, strict=True) if cost <= most]
         if not affordable:
             break
         found += affordable
@@ -77,7 +88,8 @@ def options(question: Question, ways: list[Way], arounds: Iterable[Surroundings]
     return found
 
 
-def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundings], fixed: dict[str, Bound]) -> str:
+def remedy(question: Question, found: list[Option], arounds: Iterable[list[Surroundings]],
+           fixed: dict[str, Bound]) -> str:
     """What would meet the tolerance that no option of `found` does, in words; "" where one does.
 
     arounds: more surroundings than these options have.
@@ -89,9 +101,9 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[Surroundin
     rest = [bound for name, bound in best.bounds.items() if name != "border"]
     by = max(best.bounds, key=lambda name: best.bounds[name].ratio(tolerance))
     if SAFETY * total(rest).ratio(tolerance) <= 1:
-        for around in arounds:
+        for around in chain.from_iterable(arounds):
             if SAFETY * total([*rest, around.bound]).ratio(tolerance) <= 1:
-                times = cost_of(question, best.way.count, around.period, False) / best.cost
+                times = cost_of(question, best.way.count, around, False) / best.cost
                 return f"reach = {around.reach} pixels would meet it, at about {times:.3g} times the cost"
         return "no reach that transforms take meets it"
     return REMEDIES.get(by, REMEDIES["depth"] if by.startswith("depth") else "a larger tolerance would be met")

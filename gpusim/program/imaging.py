@@ -12,6 +12,7 @@ from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
+from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
@@ -77,6 +78,7 @@ class Imaging:
         if plan.folded:
             rates = mosaic(planes, self.tables.transfer(plan), plan.mix, cfa, self._border(plan), plan.period,
                            margin=plan.scene.margin, device=device)
+            rates = self._with_far(plan, planes, rates, cfa, plan.scene.margin)
         else:
             rates = collect(self._blurred(plan, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
         if plan.highlights is not None:
@@ -143,9 +145,17 @@ class Imaging:
         elif plan.depth is None:
             rates = blur(planes, self.tables.transfer(plan), plan.mix, border, plan.period,
                          margin=margin - plan.spare, device=device)
+            rates = self._with_far(plan, planes, rates, None, margin - plan.spare)
         else:
             rates = self._by_depth(plan, planes, border)
         return rates
+
+    def _with_far(self, plan, planes, rates, cfa, margin):
+        """The mosaic, or the channels, with what comes from beyond the blur's reach."""
+        if plan.far is None:
+            return rates
+        return far(rates, planes, plan.far.weights(plan.mix, plan.transfers), plan.far.sigmas, cfa, plan.far.border,
+                   margin=margin, device=self.device)
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""

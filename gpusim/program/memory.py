@@ -10,6 +10,7 @@ from gpusim.backends import Device
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
+from gpusim.optics.splines import axes
 from gpusim.planner.fusion import row_pairs
 from gpusim.planner.plan import Plan
 from gpusim.planner.probes import COUNT, SIDE
@@ -31,6 +32,8 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 4 * planes * samples
     if plan.mix is not None:
         total += _tables(plan) + _blur(plan, device, planes, content.shape)
+    if plan.far is not None:
+        total += _far(plan, planes, content.shape)
     if plan.falloff is not None:
         total += 4 * len(plan.weights) * prod(scene.shape)
     if plan.depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
@@ -99,6 +102,20 @@ def _blur(plan, device, planes, shape):
             wide // cfa.shape[1] // (2 if by_host else 1) + 1)
         return forward + phases + (4 * high * wide if by_host else 0) + 4 * prod(plan.scene.samples)
     return forward + channels * (spectrum + 4 * high * wide + 4 * prod(plan.scene.samples))
+
+
+def _far(plan, planes, shape):
+    """Splines of the far field, from the planes to the lines of every channel, tables without it, and rates with it."""
+    down, across = axes(shape, plan.far.sigmas, plan.far.border)
+    channels, narrow, wide = len(plan.weights), down.narrow, len(plan.far.sigmas) - down.narrow
+    high, across_all = (axis.fine + 5 for axis in (down, across))
+    fine, coarse = high * across_all, (down.coarse + 5) * (across.coarse + 5)
+    rows = prod(plan.scene.samples) // plan.scene.samples[1]
+    values = planes * (high * shape[1] + fine + coarse * 4 + coarse)
+    values += channels * (2 * narrow * fine + 2 * wide * coarse + fine + 5 * coarse + rows * across_all)
+    quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
+    tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
+    return 4 * (values + tables * quarter + (1 if plan.folded else channels) * prod(plan.scene.samples))
 
 
 def _sensor(plan):

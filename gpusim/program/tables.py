@@ -5,6 +5,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.kernels.optics.airy import airy
+from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.psf import psf_tables
@@ -37,11 +38,18 @@ class LensTables:
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
         name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
-        return self._kept(name, self._key(plan), lambda: self.combined(plan, self.all_bands(plan)))
+        return self._kept(name, self._key(plan), lambda: self._near(plan, self.combined(plan, self.all_bands(plan))))
+
+    def _near(self, plan, tables):
+        """Tables less what Gaussians over the world without end make."""
+        if plan.far is None:
+            return tables
+        return near(tables, plan.far.energies(plan.transfers), plan.far.sigmas, plan.period, device=self.device)
 
     def _key(self, plan):
         """What the tables of a plan are made of."""
-        return (self._lens, plan.q, self.grid(plan.scene.samples_per_pixel), plan.period, plan.mix.shape,
+        far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
+        return (*far, self._lens, plan.q, self.grid(plan.scene.samples_per_pixel), plan.period, plan.mix.shape,
                 plan.transfers)
 
     def levels(self, plan: Plan):

@@ -13,6 +13,7 @@ from devices import ALL_KINDS
 import gpusim as gs
 from gpusim.domain.account import SAFETY
 from gpusim.domain.content import Basis
+from gpusim.domain.pupil import Pupil
 from gpusim.program.probing import Probing, kind_of
 from gpusim.truth import true_error
 
@@ -230,7 +231,8 @@ def test_kinds_are_those_that_a_plan_serves():
 def test_what_the_border_breaks_raises_no_planes(device):
     """A survey that finds planes a little worse than probes did says nothing where the border errs ten times that."""
     scenes = [scene_of(SPECTRA * gain, f"times {gain}") for gain in np.float32((1, 1.01))]
-    program = made(device, 1e-6).program(scenes[0], SECONDS)
+    hexagon = replace(CAMERA, optics=replace(CAMERA.optics, pupil=Pupil(blades=6)))
+    program = made(device, 1e-6, hexagon).program(scenes[0], SECONDS)
     first = program.plan
     assert not first.verdict.met and first.verdict.by == "border"
     for number in range(6):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from gpusim.cli import main
 from gpusim.domain.account import SAFETY, Account, Bound, total
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import NotMet
+from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models.noise import without_negligible
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, Windows
-from gpusim.planner.search import cost_of
+from gpusim.planner.search import WIDER, cost_of
 
 
 def test_errors_add_in_the_mean_square_and_at_worst_at_one_pixel():
@@ -107,7 +109,7 @@ def test_fixed_patterns_far_below_a_tolerance_are_left_out():
 @pytest.mark.parametrize("camera", [PHONE, replace(PHONE, optics=replace(PHONE.optics, f_number=8.0)),
                                     gs.open_camera("mono")], ids=["phone", "f/8", "mono"])
 @pytest.mark.parametrize("form", ["colorchecker", "slanted-edge", "deadleaves"])
-def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked(camera, form):
+def test_no_plan_costs_twice_the_exact_one_and_none_more_where_less_is_asked(camera, form):
     scene = gs.chart(form, size=(96, 64))
     exact = gs.Simulator(camera, device="numpy").plan(scene)
     most = _cost(exact)
@@ -115,7 +117,7 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
     for rms in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1):
         plan = gs.Simulator(camera, device="numpy", tolerance=rms).plan(scene)
         cost = _cost(plan)
-        assert cost <= most
+        assert cost <= most * (WIDER if plan.far else 1)  # a world without end is more than the exact frame sees
         if plan.verdict.met:  # what is not met is as accurate as it can be
             assert cost <= before
             before = cost
@@ -124,9 +126,8 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
 def _cost(plan):
     if plan.mix is None:
         return 0.0
-    class Asked:
-        content, weights = plan.content, plan.weights
-    return cost_of(Asked, plan.mix.shape[1], plan.period, plan.folded)
+    asked = SimpleNamespace(content=plan.content, weights=plan.weights, size=plan.content.shape)
+    return cost_of(asked, plan.count, SimpleNamespace(period=plan.period, far=plan.far), plan.folded)
 
 
 def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():
@@ -141,10 +142,11 @@ def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():
 
 def test_strict_refuses_in_one_line_what_is_not_met(tmp_path, capsys):
     scene = gs.chart("slanted-edge", size=(96, 64))
+    hexagon = replace(PHONE, optics=replace(PHONE.optics, pupil=Pupil(blades=6)))  # its light from afar is no blur
     with pytest.raises(NotMet, match=r"^slanted-edge: tolerance NOT met: .* of 1e-05 rms.*border.*reach"):
-        gs.Simulator(PHONE, device="numpy", tolerance=1e-5, strict=True)(scene)
+        gs.Simulator(hexagon, device="numpy", tolerance=1e-5, strict=True)(scene)
     assert gs.Simulator(PHONE, device="numpy", tolerance=1e-2, strict=True)(scene).report.verdict.met
-    asked = ["slanted-edge", "--size", "96x64", "--camera", "phone", "--device", "numpy", "--tolerance", "1e-5"]
+    asked = ["slanted-edge", "--size", "96x64", "--camera", "phone", "--device", "numpy", "--tolerance", "1e-8"]
     out = tmp_path / "a.png"
     assert main(["simulate", *asked, "--strict", "-o", str(out)]) == 2 and not out.exists()
     assert capsys.readouterr().err.count("\n") == 1
@@ -158,7 +160,7 @@ def test_a_plan_is_printed_and_written(tmp_path, capsys):
     assert "tolerance: met" in text and "error: all together" in text and "(chosen)" in text
     assert found["verdict"]["met"] and found["front"] and found["frame_ms"] == pytest.approx(sum(found["ms"].values()))
     assert [row["ms"] for row in found["front"]] == sorted(row["ms"] for row in found["front"])
-    assert main([*asked, "--tolerance", "1e-6"]) == 1 and "NOT met" in capsys.readouterr().out
+    assert main([*asked, "--tolerance", "1e-8"]) == 1 and "NOT met" in capsys.readouterr().out
     for wrong in ("0", "-1", "nan", "soon"):
         assert main([*asked, "--tolerance", wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -42,7 +42,7 @@ ALLOWED = {
                     "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.simulator"},
     "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.report", "gpusim.truth_field"},
     "gpusim.truth_field": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
-    "gpusim.work": {"gpusim.kernels", "gpusim.planner"},
+    "gpusim.work": {"gpusim.kernels", "gpusim.optics", "gpusim.planner"},
     "gpusim.speeds": {"gpusim.backends", "gpusim.developer", "gpusim.kernels", "gpusim.work"},
     "gpusim.forecast": {"gpusim.domain", "gpusim.planner", "gpusim.simulator", "gpusim.speeds"},
     "gpusim.pareto": {"gpusim.domain", "gpusim.backends", "gpusim.report", "gpusim.simulator", "gpusim.speeds",

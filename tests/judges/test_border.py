@@ -17,6 +17,7 @@ from gpusim.domain.content import Cube
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
+from gpusim.planner.models import border as model
 from gpusim.truth import true_mean
 
 BANDS = np.array([500.0, 600.0])
@@ -162,6 +163,13 @@ def edge_chart(border):
     return camera(3.0), scene_of(images("edge", (96, 96), np.random.default_rng(1)), border)
 
 
+@pytest.fixture
+def no_far_field(monkeypatch):
+    """As before a lens or a scene whose world cannot be left to Gaussians."""
+    monkeypatch.setattr(model, "has_far_field", lambda *_: False)
+
+
+@pytest.mark.usefixtures("no_far_field")
 @pytest.mark.parametrize("border", ["edge", "zero"])
 def test_a_tolerance_says_which_surroundings_it_wants(border):
     """More than the frame is long, dearer than the exact frame; asked for, the true error keeps it, and says so."""

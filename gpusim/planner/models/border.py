@@ -14,11 +14,14 @@ from gpusim.optics.lengths import LENGTHS, transform_lengths
 from gpusim.optics.lens import tail_of
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
+from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 
+FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
+EVEN = 3.0, 8.0  # 99.9 % quantile and maximum of an error that is in waves all over the frame, over its RMS
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
@@ -28,7 +31,8 @@ class Surroundings:
 
     reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
     lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
-    level: electrons of the frame's root mean square.
+    level: electrons of the frame's root mean square. far: what the world beyond is left to, None: it is not seen.
+    question: what is asked.
     """
 
     reach: int
@@ -37,10 +41,16 @@ class Surroundings:
     folds: bool
     outside: Outside
     level: float
+    far: FarField | None
+    question: Question
 
     @cached_property
     def bound(self) -> Bound:
         """Error of what is not seen."""
+        if self.far is not None:
+            rms = seam_error(self.outside, self.question, min(self.reaches))
+            sigma = np.sqrt(self.level) * rms / self.outside.sigmas
+            return Bound(rms, EVEN[0] * float(np.quantile(sigma, 0.999)), EVEN[1] * float(sigma.max()))
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
         return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
 
@@ -48,6 +58,10 @@ class Surroundings:
         """Say what is not seen."""
         reach = min(self.reaches)
         notes.bounds["border"] = self.bound
+        if self.far is not None:
+            notes.models["optics.far"] = (f"the world without end beyond {self.reach} pixels outside the frame, by "
+                                          f"{len(self.far.sigmas)} Gaussians")
+            return
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
                                   f"as the transforms repeat it: relative rms {self.bound.rms:.2g}, predicted")
@@ -56,36 +70,47 @@ class Surroundings:
 
 
 def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
-                 level: float) -> Iterator[Surroundings]:
-    """As much as is asked for alone; or BORDER_REACH, and for a tolerance twice as much each time. Raises OutOfRange.
+                 level: float) -> Iterator[list[Surroundings]]:
+    """As much as is asked for alone; or BORDER_REACH, and for a tolerance other ways, more in each list to come.
 
-    Spreads that are given end: the frame sees as far as they go, if they fit into its transforms at all. level:
-    electrons of the frame's root mean square.
+    Those are less or more of it with a world without end beyond, by Gaussians, where the lens is such that they can;
+    else twice as much each time. Raises OutOfRange. Spreads that are given end: the frame sees as far as they go, if
+    they fit into its transforms at all. level: electrons of the frame's root mean square.
     """
     outside, ratio = _outside(question, picture, depth, level), question.ratio
     beside = (ceil(depth.reach) if depth else 0) + question.more  # samples that take part beside the reach
     shape, reach = outside.image.shape, question.reach
 
-    def around(reach):
+    def around(reach, far=None):
         more = ceil(reach * ratio) + beside
-        reaches = [max(more, -(-n // 2) if outside.border == "zero" else 0) for n in shape]
+        reaches = [max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape]
         period, folds = _lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
         if None in period:
             rows, cols = question.size
             raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
                              "samples", "what the transforms take: a smaller scene, reach or aperture")
-        return Surroundings(reach, reaches, period, folds, outside, level)
+        return Surroundings(reach, reaches, period, folds, outside, level, far, question)
 
     if reach is not None:
-        yield around(reach)
+        yield [around(reach)]
         return
     fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
     reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
-    yield around(reach)
-    most = int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
-    while question.tolerance is not None and reach < most:
+    first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
+    if question.tolerance is None:
+        yield first
+        return
+    if has_far_field(question, depth is not None):
+        reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
+        fields = [far_field(question, reach * ratio) for reach in reaches]
+        found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
+        yield first + [one for one in found if one.reach <= BORDER_REACH]
+        yield from ([one] for one in found if one.reach > BORDER_REACH)
+        return
+    yield first
+    while reach < most:
         reach = min(2 * reach, most)
-        yield around(reach)
+        yield [around(reach)]
 
 
 def _lengths(question, least):

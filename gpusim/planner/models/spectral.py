@@ -189,6 +189,8 @@ def _fused(question, response, flat, planes, probes):
     if not np.trace(prior) > 0:
         return
     operator = question.kept("operator", (response, prior), lambda: joint_operator(response, prior))
+    if not operator.ranks:
+        return  # fewer wavelengths than channels
     most = min(operator.ranks[-1], planes - 1)
     for rank, bound in probes.fused(operator.w_in[:, :most].T, operator.transfers(most)):
         if rank < question.least:

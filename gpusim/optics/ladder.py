@@ -1,0 +1,110 @@
+"""The far field of a lens: Gaussians, each wider than the one before, that together fall as its tail does.
+
+Far from a point its light falls as t_3 r^-3 + t_5 r^-5 + t_7 r^-7, whatever the wavefront (see `tail`). With
+
+    r^-p = 2^(1 - p/2) / Gamma(p/2)  integral of  sigma^-p exp(-r^2 / 2 sigma^2)  d ln sigma,
+
+trapezoids at sigma_g = sigma_0 ratio^g make of such a tail Gaussians of the energies
+
+    w_g = sum over p of  t_p  2^(1 - p/2) / Gamma(p/2)  ln(ratio)  2 pi sigma_g^(2 - p),
+
+whose transfer function is a sum of exp(-2 pi^2 sigma_g^2 f^2). What a lens has more than that ends a few sigma_0 from
+the point: a blur of so much of the surroundings, and Gaussians over a world without end, are the lens's in that world.
+"""
+
+from math import gamma, log, pi
+
+import numpy as np
+
+from gpusim.domain.optics import Optics
+from gpusim.optics.lens import tail_of
+
+RATIO = 1.6  # of neighbours' widths: the sum of so few ripples by 1e-3 of the tail, which averages out
+REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what is left of the lens has ended
+WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
+POWERS = (3, 5, 7)  # of the tail
+LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf}  # powers of sigma by which a Gaussian comes to its limit
+
+
+def gaussians(reach: float, longest: float) -> np.ndarray:
+    """Standard deviations [sample], the last of them infinite, of what is left out within `reach`.
+
+    longest: side of the world that a transform repeats [sample].
+    """
+    first = RATIO * reach / REACH
+    count = max(int(np.ceil(log(WIDEST * longest / first) / log(RATIO))), 0) + 1
+    return np.append(first * RATIO ** np.arange(count), np.inf)
+
+
+def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
+    """Energies of Gaussians, shape (..., G), of tails, shape (..., 3); sigmas: as `gaussians` gives them.
+
+    border: the world's rule, by which what lies between the last Gaussian and infinity is shared out; None: all of it
+    to the infinite one, as in a transfer function.
+    """
+    finite = sigmas[:-1]
+    each = np.stack([2 ** (1 - p / 2) / gamma(p / 2) * log(RATIO) * 2 * pi * finite ** (2.0 - p) for p in POWERS])
+    found = np.append(tails @ each, np.zeros((*tails.shape[:-1], 1)), axis=-1)
+    last = tails * each[:, -1]
+    rest = last @ [_sum(p - 2) for p in POWERS]
+    near = 0.0 if border is None else last @ [_sum(p - 2 + LIMITS[border]) for p in POWERS]
+    found[..., -2] += near
+    found[..., -1] = rest - near
+    return found
+
+
+def _sum(power):
+    """Sum of ratio^-power, its square and so on."""
+    return 1 / (RATIO**power - 1)
+
+
+def tail(optics: Optics, q, waves, aperture) -> np.ndarray:
+    """t_3, t_5, t_7 of every wavelength in the mean over directions, shape (L, 3).
+
+    q: wavelength times f-number in samples, shape (L,). waves: wavefronts of the wavelengths, as `Optics.waves` gives
+    them. aperture: height and width over which a sample integrates, and of what else spreads the light a little,
+    as the variance along both axes [sample^2] (see `variance`).
+
+    t_3 is q times `tail_of`. Each point of the pupil's rim spreads its light about the place where its ray lands, b
+    from the image: the tail is t_3 (r^2 + b^2) / (r (r^2 - b^2)^2) = t_3 (r^-3 + 3 b^2 r^-5 + 5 b^4 r^-7 + ...). A
+    blur by a variance v along an axis adds v / 4 of the Laplacian's mean, 9 r^-5.
+    """
+    q, rims = np.asarray(q, np.float64), _rims(optics)
+    cusp = tail_of(optics) * q
+    squares = np.array([[np.mean(_ray(wave, one, radius) ** power) for power in (2, 4)]
+                        for wave, one in zip(waves, q, strict=True) for radius, _ in rims])
+    squares = np.tensordot(squares.reshape(len(q), len(rims), 2), [share for _, share in rims], (1, 0))
+    spread = 9 / 4 * sum(aperture)
+    third = 9 / (16 * pi**4) * _third(optics) * q**3
+    return np.stack([cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1)
+
+
+def variance(optics: Optics, pitch: float, aperture) -> tuple[float, float]:
+    """How much samples of an aperture, a low-pass filter's spots and a diffuser spread light down and across.
+
+    pitch: of samples [m]. aperture: height and width over it. Returns [sample^2].
+    """
+    first, second = (side**2 / 12 + (spots / pitch / 2) ** 2 + (optics.diffuser / pitch) ** 2
+                     for side, spots in zip(aperture, optics.birefringence, strict=True))
+    return first, second
+
+
+def _rims(optics):
+    """Radii of the pupil's rims, and the part that each has of their lengths."""
+    inner = optics.pupil.obscuration
+    return [(1.0, 1 / (1 + inner)), *([(inner, inner / (1 + inner))] if inner else [])]
+
+
+def _third(optics):
+    """Factor of |s|^3 in the transfer function of a round pupil in focus."""
+    inner = optics.pupil.obscuration
+    return 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
+
+
+def _ray(wave, q, radius):
+    """How far from the image the rays through a rim land [sample]."""
+    angle = np.linspace(0, 2 * pi, 64, endpoint=False)
+    place = radius * np.cos(angle), radius * np.sin(angle)
+    slopes = [np.polynomial.polynomial.polyval2d(*place, np.polynomial.polynomial.polyder(wave, axis=axis))
+              for axis in (0, 1)]
+    return 2 * q * np.hypot(*slopes)

@@ -1,0 +1,94 @@
+"""The world without end: what of a blur is left to Gaussians over it, and what is wrong then.
+
+The blur that transforms make ends `reach` samples from the frame, the rest of the lens is a sum of Gaussians
+(`gpusim.optics.ladder`). What is wrong then: transforms join the world's two ends, `reach` samples from the frame; a
+step there spreads waves at the cut-off of the lens, of which the Gaussians know nothing. And a tail of three powers
+leaves out higher ones of lenses that are far from focus.
+"""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+
+from gpusim.optics.ladder import energies, gaussians, tail, variance
+from gpusim.planner.border import Outside, border_indices, rule_of
+from gpusim.planner.question import Question
+
+LEAST_SIDE = 8  # samples of a frame along an axis
+RINGS, RADII = 4.0, 4.0  # the least reach in q, and in radii of the rays
+# Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, times reach^2 / q^2.5: measured on 96 x
+# 128, edges, leaves and blocks, q .7 to 6, reach 16 to 96; 2e-4 to 8e-4
+SEAM, SIDE = 4e-4, 112
+DARK_SEAM = 0.3  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
+SPLINES = 2e-7  # relative RMS of the far field's own sums
+
+
+@dataclass(frozen=True, eq=False)
+class FarField:
+    """Gaussians in place of the world beyond a blur's reach.
+
+    sigmas: their standard deviations, shape (G,) [sample], the last one infinite. tails: of every wavelength, shape (L,
+    3), see `gpusim.optics.ladder.tail`. border: the rule by which the world goes on.
+    """
+
+    sigmas: np.ndarray
+    tails: np.ndarray
+    border: str
+
+    def energies(self, transfers) -> np.ndarray:
+        """What a plan's transfer tables have of them, shape (groups, planes, G). transfers: see `Plan`."""
+        return _of_planes(energies(self.sigmas, self.tails), transfers)
+
+    def weights(self, mix, transfers) -> np.ndarray:
+        """What a plan's channels get of its planes by them, shape (C, planes, G). mix: see `Plan`."""
+        return np.asarray(mix)[..., None] * _of_planes(energies(self.sigmas, self.tails, self.border), transfers)
+
+
+def _of_planes(each, transfers):
+    return each[None] if transfers is None else np.tensordot(transfers, each, 1)
+
+
+def has_far_field(question: Question, by_depth: bool) -> bool:
+    """Whether a lens's light from afar is smooth, the same all over the frame and in the middle of every pixel.
+
+    Straight blades throw it along lines.
+    """
+    optics = question.optics
+    return (question.is_blurred and optics.psf is None and not optics.pupil.blades and optics.is_symmetric
+            and not optics.varies and not by_depth and not question.fft_free and not question.period
+            and not any(question.moved) and min(question.size) >= LEAST_SIDE)
+
+
+def far_field(question: Question, reach: float) -> FarField | None:
+    """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few."""
+    q, optics = question.q, question.optics
+    if reach < max(RINGS * question.mean_q, RADII * question.spread, 16):
+        return None
+    sigmas = gaussians(reach, max(question.size) + 2 * reach)
+    tails = tail(optics, q, optics.waves(question.scene.wavelengths), variance(optics, question.pitch, question.cell))
+    return FarField(sigmas, tails, rule_of(question.scene.border))
+
+
+def seam_error(outside: Outside, question: Question, reach: float) -> float:
+    """Relative root mean square error of a frame whose world beyond `reach` samples is left to Gaussians."""
+    if not outside.level > 0:
+        return 0.0
+    q, away = question.mean_q, reach + outside.margin
+    seam = SEAM * q**2.5 / away**2 * _step(outside, round(reach)) / (1 - question.optics.pupil.obscuration) ** 3
+    powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
+    return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
+
+
+def _step(outside, reach):
+    """Step of the world at the seam of the transforms, over the frame's root mean square, as of a frame of SIDE."""
+    image, rule, found = outside.image, rule_of(outside.border), 0.0
+    for lines in (image, image.T):
+        n = len(lines)
+        if rule == "zero":
+            ends = lines[[0, -1]].astype(np.float64) * DARK_SEAM
+        else:
+            beyond = border_indices(np.array((n - 1 + reach, -reach)), n, rule)
+            ends = np.diff(lines[beyond].astype(np.float64), axis=0)
+        found += np.mean(ends**2) * len(ends) * SIDE / n
+    return sqrt(found) / outside.level

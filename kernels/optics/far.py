@@ -1,0 +1,174 @@
+"""The far field of a blur: Gaussians over a world that goes on without end as its border says, added to a frame.
+
+Ports: onto, mosaic (rows, cols) or channels (channels, rows, cols) float32; planes (planes, rows, cols) float32,
+weights (channels, planes, G), sigmas (G,), cfa (ph, pw) -> the shape of onto, float32:
+
+    out(y, x) = onto(y, x) + sum over k, g of  weights[c, k, g] (gaussian_g * planes_k)(y, x),
+
+c = cfa[y mod ph, x mod pw] of a mosaic. The Gaussians are wide, so that grids of cubic splines carry them
+(`gpusim.optics.splines`): a chain of matrices of few entries along one axis after the other.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.kernels.stage import Case, stage
+from gpusim.optics.splines import axes
+
+LEAST_SIDE, LEAST_SIGMA = 8, 4.0  # of planes, and of Gaussians [sample]
+
+
+@stage
+def far(device, onto, planes, weights, sigmas, cfa, border, margin=0):
+    """Add the far field of planes to what is blurred of them.
+
+    onto: shape (rows - 2 margin, cols - 2 margin), a mosaic, or (channels, ...), every channel. planes: shape (planes,
+    rows, cols). weights: energy of each Gaussian of a plane in a channel, shape (channels, planes, G). sigmas: their
+    standard deviations, shape (G,) [sample], growing; infinite: the mean of the four corners of a world that goes on
+    as its edge, of the frame of one that is mirrored, 0 of a dark one. cfa: channel of each pixel of one period of the
+    mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect". margin: samples of the planes
+    on each side that `onto` is without, or, below 0, that it has more, up to LEAST_SIGMA / 3.
+    Returns the shape of onto. Raises OutOfRange for planes of less than LEAST_SIDE samples a side and Gaussians below
+    LEAST_SIGMA. Source: the sum is the formula; for its grids see `gpusim.optics.splines`.
+    """
+    shape = tuple(planes.shape[1:])
+    weights, sigmas = (np.asarray(device.numpy(values), np.float64) for values in (weights, sigmas))
+    if min(shape) < LEAST_SIDE:
+        raise OutOfRange("planes", f"{shape[1]} x {shape[0]} samples", f"at least {LEAST_SIDE} along each axis")
+    if not (sigmas[0] >= LEAST_SIGMA and np.all(sigmas[1:] > sigmas[:-1])):
+        raise OutOfRange("sigmas", sigmas, f"growing ones from {LEAST_SIGMA:g} samples on")
+    chain = _Chain(device, *axes(shape, sigmas, border))
+    light = chain.coefficients(device.array(planes), weights.astype(np.float32))
+    return chain.added(device.array(onto), light, cfa, margin)
+
+
+class _Chain:
+    """Products on a device. Arrays are (batch, axis, lanes): a product is along the axis, and may turn the two."""
+
+    def __init__(self, device, down, across):
+        self.device, self.down, self.across = device, down, across
+        self.width = 8 if device.kind == "opencl" and device.on_host else 1  # lanes of a work-item
+        self.defines = {"WIDTH": self.width} if device.kind == "opencl" else None
+
+    def coefficients(self, planes, weights):
+        """Splines of the first level, (channels, rows, cols), that are the far field."""
+        down, across, narrow = self.down, self.across, self.down.narrow
+        own = self._product(planes, self._on_device(down, "analysis"), turned=True)
+        own = self._product(own, self._on_device(across, "analysis"))  # (planes, cols, rows) of splines
+        wide = self._product(own, self._on_device(across, "restriction"), turned=True)
+        wide = self._product(wide, self._on_device(down, "restriction"), turned=True)
+        wide = self._filtered(wide, weights[:, :, narrow:], first=False)
+        wide = self._product(wide, self._on_device(down, "prolongation"), turned=True)
+        light = self._filtered(own, weights[:, :, :narrow], first=True) if narrow else None
+        return self._product(wide, self._on_device(across, "prolongation"), turned=True, onto=light)
+
+    def _filtered(self, own, weights, first):
+        """Coefficients (channels, rows, cols) of a level from what it has, (planes, cols, rows)."""
+        device, (channels, count, sigmas) = self.device, weights.shape
+        _, cols, rows = own.shape
+        mixed = device.empty((channels * sigmas, cols, rows))
+        device.launch("optics.far", "combine", (channels * sigmas, cols * rows), own, _constant(
+            device, weights.tobytes(), weights.shape), mixed, channels * sigmas, cols * rows, count, sigmas,
+            defines=self.defines)
+        found = self._product(mixed, self._on_device(self.across, "first" if first else "second"), turned=True)
+        return self._product(found, self._on_device(self.down, "first" if first else "second"), sums=sigmas)
+
+    def added(self, onto, light, cfa, margin):
+        """The mosaic, or every channel, with the splines' values."""
+        device, (rows, cols) = self.device, onto.shape[-2:]
+        lines = self._product(light, _samples(device, self.down, margin))
+        (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
+        pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+        values, start = _along_rows(device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape)
+        out = device.empty((planes, rows, cols))
+        device.launch("optics.far", "refine", out.shape, device.reshape(onto, out.shape), device.reshape(
+            lines, (channels * rows * splines,)), values, start, out, rows, cols, splines, len(pattern),
+            defines=self.defines)
+        return device.reshape(out, onto.shape)
+
+    def _product(self, given, bands, turned=False, sums=1, onto=None):
+        """Along the axis: (batch, rows, lanes), or (batch, lanes, rows) if turned, added to `onto` if there is one.
+
+        sums: matrices in turn whose products are added up: as many of the batch become one.
+        """
+        start, count, values = bands
+        (batch, size, lanes), (matrices, rows, most) = given.shape, values.shape
+        out = onto if onto is not None else self.device.empty(
+            (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes))
+        self.device.launch("optics.far", "product", (batch // sums * rows, -(-lanes // self.width)), given, values,
+                           start, count, out, int(onto is not None), int(turned), batch // sums * rows, lanes, size,
+                           rows, most, matrices, sums, defines=self.defines)
+        return out
+
+    def _on_device(self, axis, name):
+        return _matrices(self.device, axis, name)
+
+
+@functools.lru_cache(maxsize=64)
+def _matrices(device, axis, name):
+    """Bands of an axis on the device: start, count and values."""
+    return _stored(device, axis.filters(name == "first") if name in ("first", "second") else getattr(axis, name))
+
+
+@functools.lru_cache(maxsize=32)
+def _samples(device, axis, margin):
+    """The same of the samples that are asked for from its splines."""
+    return _stored(device, axis.synthesis(margin))
+
+
+@functools.lru_cache(maxsize=32)
+def _along_rows(device, axis, margin, plane, pattern, period):
+    """Weights of the four splines at the samples of a row, (4, cols), and where they begin in each phase of a mosaic.
+
+    plane: values of a channel. pattern: bytes of the mosaic's channels, of shape `period`.
+    """
+    bands = axis.synthesis(margin)
+    cfa = np.frombuffer(pattern, np.int32).reshape(period)
+    start = plane * cfa[:, np.arange(bands.start.shape[1]) % period[1]] + bands.start[0]
+    assert bands.values.shape[2] == 4
+    return device.array(bands.values[0].T), device.array(start, np.int32)
+
+
+def _stored(device, bands):
+    return (device.array(bands.start, np.int32), device.array(bands.count, np.int32), device.array(bands.values))
+
+
+@functools.lru_cache(maxsize=64)
+def _constant(device, values, shape, dtype=np.float32):
+    """Array of these bytes on the device: a copy would wait for all that was launched before."""
+    return device.array(np.frombuffer(values, dtype).reshape(shape), dtype)
+
+
+def cases():
+    """All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin, highlights."""
+    random = np.random.default_rng(11)
+    why = ("a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each "
+           "axis, by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are below "
+           "1e-6")
+    bayer = np.array([[0, 1], [1, 2]], np.int32)
+    for rows, cols, count, channels, cfa, border, margin, first in (
+            (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8), (40, 97, 3, 3, bayer, "edge", 0, 5.8),
+            (97, 40, 2, 3, bayer, "reflect", 0, 11.6), (150, 130, 2, 2, None, "edge", 9, 23.3),
+            (64, 65, 31, 3, bayer, "zero", 0, 8.0), (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
+            (300, 20, 1, 1, None, "edge", 0, 4.0), (70, 51, 2, 2, None, "edge", -3, 11.6),
+            (51, 70, 1, 2, None, "reflect", -2, 8.0), (31, 31, 1, 1, None, "zero", -1, 5.0)):
+        sigmas = np.append(first * 1.6 ** np.arange(9), np.inf)
+        planes = np.cumsum(random.standard_normal((count, rows, cols)), axis=2)
+        planes[0, rows // 2, cols // 3 :] += 30
+        shape = (rows - 2 * margin, cols - 2 * margin)
+        yield Case(f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else np.shape(cfa)}, {border}",
+                   {"onto": np.zeros(shape if cfa is not None else (channels, *shape), np.float32),
+                    "planes": planes.astype(np.float32), "weights": random.random((channels, count, len(sigmas))),
+                    "sigmas": sigmas, "cfa": cfa, "border": border, "margin": margin},
+                   1.5e-5 + 1e-6 + 2 * (np.pi * first / 2.8) ** -4, why)
+
+
+def bench(rows, cols):
+    """Four planes to a Bayer mosaic, 64 pixels of border."""
+    random = np.random.default_rng(11)
+    sigmas = np.append(23.3 * 1.6 ** np.arange(13), np.inf)
+    return {"onto": random.random((rows, cols), np.float32), "planes": random.random((4, rows, cols), np.float32),
+            "weights": random.random((3, 4, len(sigmas))), "sigmas": sigmas,
+            "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge"}
