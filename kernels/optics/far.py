@@ -144,9 +144,9 @@ def _constant(device, values, shape, dtype=np.float32):
 def cases():
     """All borders, mosaics and channels, sizes below and above a Gaussian's, odd ones, a margin, highlights."""
     random = np.random.default_rng(11)
-    why = ("a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each "
-           "axis, by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are below "
-           "1e-6")
+    why = ("a spline of spacing D = sigma / 2.8, sampled once a sample, is wrong by (pi D)^-4 of it along each axis, "
+           "by its sinc^4's nearest alias; a step passes sinc^4 and a Gaussian of 2.8 D to 1.5e-5; float32 sums are "
+           "below 1e-6")
     bayer = np.array([[0, 1], [1, 2]], np.int32)
     for rows, cols, count, channels, cfa, border, margin, first in (
             (8, 9, 1, 1, np.zeros((1, 1), np.int32), "zero", 0, 5.8), (40, 97, 3, 3, bayer, "edge", 0, 5.8),
