@@ -9,6 +9,7 @@ their files' names. What no stored result backs is left as it is.
 from pathlib import Path
 
 from results import HERE, OneLineParser, load, spread, start
+from tolerances import by_tolerance, within
 from triple_summary import BAND, summary
 
 from gpusim.domain.errors import BadFile
@@ -187,6 +188,18 @@ def _triples(result):
                               for name, one in found["tolerances"].items()])
 
 
+def _tolerances(result):
+    cols, rows = result["size"]
+    yield (f"{result['device']}, {cols} x {rows}: {', '.join(result['cameras'])}; {', '.join(result['charts'])}. "
+           f"Predicted time within a factor of 1.5: {within(result['rows'])}.")
+    columns = ("tolerance", "met", "rms, median", "over the exact frame", "least .. most", "over SciPy's", "least .. most")
+    yield _markdown(columns, [(one["tolerance"], f"{one['met']} of {one['count']}", f"{one['error']:.1e}",
+                               *(cell for key in ("exact", "baseline") for cell in (
+                                   f"{one[key][f'{key}_p50']:.2f}",
+                                   f"{one[key][f'{key}_least']:.2f} .. {one[key][f'{key}_most']:.2f}")))
+                              for one in by_tolerance(result["rows"])])
+
+
 def _cells(result):
     for title, columns in result["columns"].items():
         yield title + ":"
@@ -195,8 +208,8 @@ def _cells(result):
 
 TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
           "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
-          "picture": _peers, "triples": _triples, "demosaic": _cells, "color": _cells, "figure8": _cells,
-          "figure14": _cells}
+          "picture": _peers, "triples": _triples, "tolerances": _tolerances, "demosaic": _cells, "color": _cells,
+          "figure8": _cells, "figure14": _cells}
 
 if __name__ == "__main__":
     start(main)

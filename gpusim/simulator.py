@@ -32,9 +32,10 @@ class Simulator:
 
     camera: what takes the picture. device: a name for `open_device`, or a Device. tolerance: a preset's name, a
     relative RMS error or a Tolerance: of what is predicted to meet it the cheapest is done, and nothing that costs more
-    than the exact frame; the report says whether it is met. Without one every wavelength is exact. guaranteed: predict
-    for the worst spectrum there can be, a monochromatic point, and not for the scene's own. reach: pixels of
-    surroundings on each side that take part in the blur; by default BORDER_REACH, or as many as the tolerance needs.
+    than the exact frame in a world without end; the report says whether it is met. Without one every wavelength is
+    exact. guaranteed: predict for the worst spectrum there can be, a monochromatic point, and not for the scene's own.
+    reach: pixels of surroundings on each side that take part in the blur; by default BORDER_REACH, or what the
+    tolerance needs, with a world without end beyond where the lens allows it.
     fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4). period: of the transforms
     [sample], for the reference: see `gpusim.planner.plan.plan`. strict: raise NotMet for a scene of which the tolerance
     is predicted not to be met; else the report says so.

@@ -13,6 +13,7 @@ from gpusim.kernels.stage import public_function, stage_module
 from gpusim.work import of_bench, of_plan
 
 SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
+GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
 REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
 SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
 
@@ -30,7 +31,7 @@ class Speeds:
     def of(self, stage: str) -> tuple[float, float]:
         """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
         if stage not in self.known:
-            sizes = REFERENCE_SIZES if self.device.kind == "numpy" else SIZES
+            sizes = REFERENCE_SIZES if self.device.kind == "numpy" else GPU_SIZES if self.device.is_gpu else SIZES
             (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
             unit = max(large - small, 0.1 * large) / (high - low)
             self.known[stage] = [max(small - unit * low, 0.0), unit]

@@ -46,6 +46,9 @@ EXAMPLES = [
                         "met": True, "within": False, "nearest": "0.002 of 0.001 rms", "verdict": "", "bound": "rms",
                         "allowed": 1e-3, "true": {"rms": 2e-3}, "ratio": 0.25, "ratio_rms": 0.25,
                         "bounds": {"border": {"rms": 5e-4}}}], half="development"),
+    result("tolerances", [timed("phone, deadleaves, 1e-3", 1.0, 2.0, 3.0, tolerance="1e-3", exact_p50=4.0,
+                                baseline_p50=8.0, predicted_ms=3.0, stages_ms=2.5, error=2e-4, met=True)],
+           size=[64, 48], cameras=["phone"], charts=["deadleaves"]),
     result("color", [{"name": "ridge", "table": "Errors", "cells": ["1.0", "2.0"]}],
            columns={"Errors": ["method", "D65", "A"]}),
 ]
@@ -209,7 +212,7 @@ def test_command_writes_the_readme(stored, tmp_path):
     for name in ("stages", "scaling"):  # they have figures, which take seconds
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
-    readme.write_text(marks("loops", "threads", "compare", "triples", "color"))
+    readme.write_text(marks("loops", "threads", "compare", "triples", "tolerances", "color"))
     assert run("tables.py", "--results", stored, "--readme", readme)[0] == 0
-    assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "color"),
+    assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "tolerances", "color"),
                                                tables.stored_results(stored))
