@@ -192,7 +192,7 @@ def _tolerances(result):
     cols, rows = result["size"]
     yield (f"{result['device']}, {cols} x {rows}: {', '.join(result['cameras'])}; {', '.join(result['charts'])}. "
            f"Predicted time within a factor of 1.5: {within(result['rows'])}.")
-    columns = ("tolerance", "met", "rms, median", "over the exact frame", "least .. most", "over SciPy's", "least .. most")
+    columns = ("tolerance", "met", "rms, median", "exact over it", "least .. most", "SciPy over it", "least .. most")
     yield _markdown(columns, [(one["tolerance"], f"{one['met']} of {one['count']}", f"{one['error']:.1e}",
                                *(cell for key in ("exact", "baseline") for cell in (
                                    f"{one[key][f'{key}_p50']:.2f}",

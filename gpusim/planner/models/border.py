@@ -21,7 +21,7 @@ from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
-EVEN = 3.0, 8.0  # 99.9 % quantile and maximum of an error that is in waves all over the frame, over its RMS
+EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
