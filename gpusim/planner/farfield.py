@@ -17,13 +17,15 @@ from gpusim.planner.question import Question
 
 LEAST_SIDE = 8  # samples of a frame along an axis
 RINGS, RADII = 4.0, 4.0  # the least reach in q, and in radii of the rays
-# Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, times reach^2 / q^2.5. This and what
-# changes it was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96, fill .4 and 1, 1 to
-# 3 samples a pixel, obscurations 0, .3 and .5: it is within a factor of 2 of most, and of 3.5 of all
-SEAM, SIDE = 1.8e-4, 112
+# Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam by one wavelength, times reach^2 / q^2.5.
+# This and what changes it was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
+# fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where a lens's cut-off
+# meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
+SEAM, SIDE = 2.6e-4, 112
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 18.0  # times the obscuration is more of it: rims nearer to one another ring farther
-FINER, LEAST = 3.0, 0.3  # q of a pixel below which pixels of several samples average waves away, and what they leave
+FINER, LEAST = 3.0, 0.3  # q of a pixel of samples below which it averages waves away; what it leaves
+DISTANCES = 64  # from the seam, at which waves are added up
 SPLINES = 1e-7  # relative RMS of the far field's own sums
 
 
@@ -79,10 +81,17 @@ def seam_error(outside: Outside, question: Question, reach: float) -> float:
         return 0.0
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
     seam = SEAM * q**2.5 / away**2 * _step(outside, round(reach)) * (1 + HOLE * question.optics.pupil.obscuration)
-    seam /= sqrt(cell[0] * cell[1])
+    seam *= _coherence(question, away) / sqrt(cell[0] * cell[1])
     seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
+
+
+def _coherence(question, reach):
+    """What the waves of all wavelengths leave of one's, whose period is its q, in the mean over frame and channels."""
+    light = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
+    away = np.linspace(reach, reach + max(question.size) / 2, DISTANCES)
+    return float(np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away / question.q[:, None])) ** 2)))
 
 
 def _step(outside, reach):
