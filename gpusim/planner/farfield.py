@@ -17,10 +17,10 @@ from gpusim.planner.question import Question
 
 LEAST_SIDE = 8  # samples of a frame along an axis
 RINGS, RADII = 4.0, 4.0  # the least reach in q, and in radii of the rays
-# Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam by one wavelength, times reach^2 / q^2.5.
-# This and what changes it was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
-# fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where a lens's cut-off
-# meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
+# Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
+# This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
+# fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
+# lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 2.6e-4, 112
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 18.0  # times the obscuration is more of it: rims nearer to one another ring farther

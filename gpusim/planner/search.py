@@ -1,13 +1,14 @@
 """The cheapest of all ways to blur a scene that is predicted to meet a tolerance."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import chain
 from math import log2, prod
 
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.splines import multiplications
+from gpusim.planner.farfield import FarField
 from gpusim.planner.models.border import Surroundings
 from gpusim.planner.models.spectral import Way
 from gpusim.planner.question import Question
@@ -122,13 +123,28 @@ def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is told of an option. reach: surroundings on each side [pixel]. period: of the transforms [sample]."""
+    """What is told of an option.
+
+    reach: surroundings on each side [pixel]. far: what the world beyond is left to; None: it is not seen. period: of
+    the transforms [sample].
+    """
 
     words: str
     planes: int
     reach: int
+    far: FarField | None
     period: tuple[int, int]
     error: Bound
+
+    @property
+    def surroundings(self) -> str:
+        """What of the world takes part, in words."""
+        return f"{self.reach} pixels of surroundings{', and the world beyond' if self.far else ''}"
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        return {"words": self.words, "planes": self.planes, "reach": self.reach, "endless": self.far is not None,
+                "period": self.period, "error": asdict(self.error)}
 
 
 def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
@@ -137,5 +153,5 @@ def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
     for option in sorted(found, key=lambda option: option.cost):
         if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
             best.append(option)
-    return tuple(Candidate(option.way.words, option.way.count, option.around.reach, option.around.period, option.total)
-                 for option in best)
+    return tuple(Candidate(option.way.words, option.way.count, option.around.reach, option.around.far,
+                           option.around.period, option.total) for option in best)
