@@ -15,15 +15,17 @@ from gpusim.optics.ladder import energies, gaussians, tail, variance
 from gpusim.planner.border import Outside, border_indices, rule_of
 from gpusim.planner.question import Question
 
-LEAST_SIDE = 8  # samples of a frame along an axis
-RINGS, RADII = 4.0, 4.0  # the least reach in q, and in radii of the rays
+LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
+RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part between the rims), and in radii of the rays
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
-SEAM, SIDE = 2.6e-4, 112
+SEAM, SIDE = 2.8e-4, 112
+WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
-HOLE = 18.0  # times the obscuration is more of it: rims nearer to one another ring farther
+HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
+IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 FINER, LEAST = 3.0, 0.3  # q of a pixel of samples below which it averages waves away; what it leaves
 DISTANCES = 64  # from the seam, at which waves are added up
 SPLINES = 1e-7  # relative RMS of the far field's own sums
@@ -68,19 +70,24 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
 def far_field(question: Question, reach: float) -> FarField | None:
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few."""
     q, optics = question.q, question.optics
-    if reach < max(RINGS * question.mean_q, RADII * question.spread, 16):
+    rings = RINGS * question.mean_q
+    if optics.pupil.obscuration:
+        rings *= 2 / (1 - optics.pupil.obscuration)
+    if reach < max(rings, RADII * question.spread, LEAST_REACH):
         return None
     sigmas = gaussians(reach, max(question.size) + 2 * reach)
     tails = tail(optics, q, optics.waves(question.scene.wavelengths), variance(optics, question.pitch, question.cell))
     return FarField(sigmas, tails, rule_of(question.scene.border))
 
 
-def seam_error(outside: Outside, question: Question, reach: float) -> float:
-    """Relative root mean square error of a frame whose world beyond `reach` samples is left to Gaussians."""
+def seam_error(outside: Outside, question: Question, period: tuple[int, int]) -> float:
+    """Relative root mean square error of a frame whose world beyond transforms of this period is left to Gaussians."""
     if not outside.level > 0:
         return 0.0
+    reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
-    seam = SEAM * q**2.5 / away**2 * _step(outside, round(reach)) * (1 + HOLE * question.optics.pupil.obscuration)
+    seam = SEAM * q**2.5 / away**2 * _step(outside, period) * (
+        1 + HOLE * question.optics.pupil.obscuration**2)
     seam *= _coherence(question, away) / sqrt(cell[0] * cell[1])
     seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
@@ -88,21 +95,27 @@ def seam_error(outside: Outside, question: Question, reach: float) -> float:
 
 
 def _coherence(question, reach):
-    """What the waves of all wavelengths leave of one's, whose period is its q, in the mean over frame and channels."""
+    """What the waves of all wavelengths leave of one's, whose period is its q, in the mean over frame and channels.
+
+    A hole makes slower waves, a spread of rays has them come from all of its rim: these leave all of it.
+    """
+    if question.optics.pupil.obscuration or question.spread > IN_FOCUS * question.mean_q:
+        return 1.0
     light = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
     away = np.linspace(reach, reach + max(question.size) / 2, DISTANCES)
-    return float(np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away / question.q[:, None])) ** 2)))
+    left = np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away / question.q[:, None])) ** 2))
+    return float(left * max(question.mean_q / question.ratio / WIDE, 1))
 
 
-def _step(outside, reach):
+def _step(outside, period):
     """Step of the world at the seam of the transforms, over the frame's root mean square, as of a frame of SIDE."""
     image, rule, found = outside.image, rule_of(outside.border), 0.0
-    for lines in (image, image.T):
-        n = len(lines)
+    for lines, length in zip((image, image.T), period, strict=True):
+        n, before = len(lines), (length - len(lines)) // 2
         if rule == "zero":
             ends = lines[[0, -1]].astype(np.float64) * DARK_SEAM
         else:
-            beyond = border_indices(np.array((n - 1 + reach, -reach)), n, rule)
+            beyond = border_indices(np.array((length - before - 1, -before)), n, rule)
             ends = np.diff(lines[beyond].astype(np.float64), axis=0)
         found += np.mean(ends**2) * len(ends) * SIDE / n
     return sqrt(found) / outside.level

@@ -48,7 +48,7 @@ class Surroundings:
     def bound(self) -> Bound:
         """Error of what is not seen."""
         if self.far is not None:
-            rms = seam_error(self.outside, self.question, min(self.reaches))
+            rms = seam_error(self.outside, self.question, self.period)
             sigma = np.sqrt(self.level) * rms / self.outside.sigmas
             return Bound(rms, EVEN[0] * float(np.quantile(sigma, 0.999)), EVEN[1] * float(sigma.max()))
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
