@@ -19,7 +19,7 @@ class Forecast:
     """A plan, and what a frame by it takes on a device.
 
     ms: of every stage of a frame after the first. device: its name. front: the options that were cheaper or more
-    accurate, from the cheapest on, and what a frame by each takes [ms].
+    accurate, and what a frame by each takes there [ms], from the fastest on.
     """
 
     plan: Plan
@@ -31,8 +31,8 @@ class Forecast:
     def of(cls, simulator: Simulator, scene: Scene) -> "Forecast":
         """For a scene. Raises as `Simulator.plan` does."""
         plan, speeds = simulator.plan(scene), Speeds(simulator.device)
-        front = tuple((sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
-                      for option in plan.front)
+        front = tuple(sorted(((sum(frame_ms(simulator, _varied(plan, option), speeds).values()), option)
+                              for option in plan.front), key=lambda one: one[0]))
         return cls(plan, simulator.device.name, frame_ms(simulator, plan, speeds), front)
 
     @property
