@@ -18,6 +18,7 @@ from gpusim.optics.lengths import transform_lengths
 from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.highlights import CORE, airy_density, point_kernels
 from gpusim.simulator import Simulator
+from gpusim.truth import true_mean
 
 
 def test_the_kernels_of_points_are_integrals_over_the_pixel():
@@ -46,8 +47,9 @@ def test_hard_04_energy_of_a_frame_is_kept(device):
     inner = natural((64, 48)).content.values
     values[:, 104:152, 96:160] = inner
     scene = Scene(Cube(WAVELENGTHS, values), LIGHT, "zero")
-    exact = Simulator(CAMERA, device="numpy").expose(scene, 1.0).mean
     plan = made_for(scene)
+    # light that leaves a frame of transforms comes back to it, 1.7e-4 of all; to a world without end it does not
+    exact = true_mean(Simulator, CAMERA, scene, Simulator(CAMERA, device="numpy").plan(scene), 1.0)
     for tolerance in (1e-2, 1e-4):
         operator = joint_operator(response_of(plan), library())
         brute = Brute(plan.q, scene.shape)
