@@ -61,7 +61,7 @@ class Surroundings:
         if self.far is not None:
             notes.models["optics.far"] = (f"the world without end beyond {self.reach} pixels outside the frame, by "
                                           f"{len(self.far.sigmas)} Gaussians")
-            notes.models["optics.near"] = "transfer functions less those"
+            notes.models["optics.near"] = "transfer functions less those of the Gaussians"
             return
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
             notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
