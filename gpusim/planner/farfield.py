@@ -21,7 +21,7 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
-SEAM, SIDE = 2.8e-4, 112
+SEAM, SIDE = 3.1e-4, 112
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
@@ -86,8 +86,8 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
-    seam = SEAM * q**2.5 / away**2 * _step(outside, period) * (
-        1 + HOLE * question.optics.pupil.obscuration**2)
+    seam = SEAM * q**2.5 / away**2 * _step(outside, period)
+    seam *= 1 + HOLE * question.optics.pupil.obscuration**2
     seam *= _coherence(question, away) / sqrt(cell[0] * cell[1])
     seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach

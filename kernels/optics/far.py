@@ -55,14 +55,14 @@ class _Chain:
     def coefficients(self, planes, weights):
         """Splines of the first level, (channels, rows, cols), that are the far field."""
         down, across, narrow = self.down, self.across, self.down.narrow
-        own = self._product(planes, self._on_device(down, "analysis"), turned=True)
-        own = self._product(own, self._on_device(across, "analysis"))  # (planes, cols, rows) of splines
-        wide = self._product(own, self._on_device(across, "restriction"), turned=True)
-        wide = self._product(wide, self._on_device(down, "restriction"), turned=True)
+        own = self._product(planes, _matrices(self.device, down, "analysis"), turned=True)
+        own = self._product(own, _matrices(self.device, across, "analysis"))  # (planes, cols, rows) of splines
+        wide = self._product(own, _matrices(self.device, across, "restriction"), turned=True)
+        wide = self._product(wide, _matrices(self.device, down, "restriction"), turned=True)
         wide = self._filtered(wide, weights[:, :, narrow:], first=False)
-        wide = self._product(wide, self._on_device(down, "prolongation"), turned=True)
+        wide = self._product(wide, _matrices(self.device, down, "prolongation"), turned=True)
         light = self._filtered(own, weights[:, :, :narrow], first=True) if narrow else None
-        return self._product(wide, self._on_device(across, "prolongation"), turned=True, onto=light)
+        return self._product(wide, _matrices(self.device, across, "prolongation"), turned=True, onto=light)
 
     def _filtered(self, own, weights, first):
         """Coefficients (channels, rows, cols) of a level from what it has, (planes, cols, rows)."""
@@ -72,8 +72,8 @@ class _Chain:
         device.launch("optics.far", "combine", (channels * sigmas, cols * rows), own, _constant(
             device, weights.tobytes(), weights.shape), mixed, channels * sigmas, cols * rows, count, sigmas,
             defines=self.defines)
-        found = self._product(mixed, self._on_device(self.across, "first" if first else "second"), turned=True)
-        return self._product(found, self._on_device(self.down, "first" if first else "second"), sums=sigmas)
+        found = self._product(mixed, _matrices(self.device, self.across, "first" if first else "second"), turned=True)
+        return self._product(found, _matrices(self.device, self.down, "first" if first else "second"), sums=sigmas)
 
     def added(self, onto, light, cfa, margin):
         """The mosaic, or every channel, with the splines' values."""
@@ -101,9 +101,6 @@ class _Chain:
                            start, count, out, int(onto is not None), int(turned), batch // sums * rows, lanes, size,
                            rows, most, matrices, sums, defines=self.defines)
         return out
-
-    def _on_device(self, axis, name):
-        return _matrices(self.device, axis, name)
 
 
 @functools.lru_cache(maxsize=64)

@@ -19,7 +19,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models.noise import without_negligible
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, Windows
-from gpusim.planner.search import WIDER, cost_of
+from gpusim.planner.search import HEADROOM, WIDER, cost_of
 
 
 def test_errors_add_in_the_mean_square_and_at_worst_at_one_pixel():
@@ -109,7 +109,7 @@ def test_fixed_patterns_far_below_a_tolerance_are_left_out():
 @pytest.mark.parametrize("camera", [PHONE, replace(PHONE, optics=replace(PHONE.optics, f_number=8.0)),
                                     gs.open_camera("mono")], ids=["phone", "f/8", "mono"])
 @pytest.mark.parametrize("form", ["colorchecker", "slanted-edge", "deadleaves"])
-def test_no_plan_costs_twice_the_exact_one_and_none_more_where_less_is_asked(camera, form):
+def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked(camera, form):
     scene = gs.chart(form, size=(96, 64))
     exact = gs.Simulator(camera, device="numpy").plan(scene)
     most = _cost(exact)
@@ -117,7 +117,11 @@ def test_no_plan_costs_twice_the_exact_one_and_none_more_where_less_is_asked(cam
     for rms in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1):
         plan = gs.Simulator(camera, device="numpy", tolerance=rms).plan(scene)
         cost = _cost(plan)
-        assert cost <= most * (WIDER if plan.far else 1)  # a world without end is more than the exact frame sees
+        suffices = HEADROOM * SAFETY * exact.account.total.ratio(Tolerance(rms=rms)) <= 1
+        if plan.far is None or suffices:
+            assert cost <= most
+        else:  # the exact frame breaks this tolerance at its border: the same with a world without end does not
+            assert cost <= min(_cost(replace(plan, mix=exact.mix)), WIDER * most)
         if plan.verdict.met:  # what is not met is as accurate as it can be
             assert cost <= before
             before = cost
