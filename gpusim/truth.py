@@ -86,8 +86,8 @@ def _rates(reference, camera, scene, own):
         rows, cols = (np.arange(scene.margin - own.spare, n - scene.margin + own.spare) for n in light.shape[1:])
         around = min(length - n for length, n in zip(own.period, light.shape[1:], strict=True)) / 2
         cell = max(around / CELLS, 1)
-        far = np.stack([at_samples(unseen(one, own.period, border, cell, tail, times=(3, 5, 7)), one.shape, own.period,
-                                   rows, cols) for one in light])
+        far = np.stack([at_samples(unseen(one, own.period, border, cell, tail, times=(3, 5, 7), soft=2), one.shape,
+                                   own.period, rows, cols) for one in light])
         rates = rates + reference.imaging.pixels(own, far)
     return rates, cfa
 

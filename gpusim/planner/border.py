@@ -45,13 +45,15 @@ def border_indices(at, n: int, border: str) -> np.ndarray:
     return np.clip(at, 0, n - 1)
 
 
-def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5)) -> np.ndarray:
+def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5),
+           soft: float = 1.0) -> np.ndarray:
     """What a world without end adds to what a transform sees, at the cells of a coarse grid.
 
     image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
     middle [sample]. border: "zero", "edge" or "reflect". cell: about the side of a cell [sample]. tail: energy of a
     point per square sample times r^3. disc: radius of an even disc of energy 1 beside it [sample]; none of 0.
-    times: periods that the worlds span from which the one without end is extrapolated, odd.
+    times: periods that the worlds span from which the one without end is extrapolated, odd. soft: cells within which
+    the tail is softened: steps ring on the grid, by some 1e-6 at 1, and not at 2.
     Returns the cells of one period; `at_samples` interpolates between them.
     """
     powers = POWERS[border]
@@ -68,7 +70,7 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
         """The middle period of a world that repeats itself after `wide` of them."""
         around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
         part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
-        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc)
+        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc, soft * max(steps))
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
         rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
@@ -171,6 +173,18 @@ class Outside:
         sigmas = error / sigma
         return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
+    def brighter(self, period) -> float:
+        """Root mean square of what a transform of this period sees, over the frame's; 1 where it is darker."""
+        if self.border == "zero" or not self.level > 0:
+            return 1.0
+        rows, cols = (np.bincount(border_indices(np.arange(length) - (length - n) // 2, n, rule_of(self.border)),
+                                  minlength=n) for n, length in zip(self.image.shape, period, strict=True))
+        return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
+
+    @cached_property
+    def _squares(self):
+        return np.square(self.image, dtype=np.float64)
+
     @property
     def sigmas(self) -> np.ndarray:
         """Standard deviations of the noise where the error is told, over the root of the electrons at the level."""
@@ -215,14 +229,14 @@ def _means(n, period, cells, border, wide, dtype):
 
 
 @lru_cache(maxsize=32)
-def _kernel(cells, steps, tail, disc):
-    """Transform of tail r^-3, softened within a cell, and of a disc, at the frequencies of a world of cells.
+def _kernel(cells, steps, tail, disc, soft):
+    """Transform of tail r^-3, softened within `soft`, and of a disc, at the frequencies of a world of cells.
 
     (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel.
     """
     fy, fx = (frequencies(count) / step for frequencies, count, step in
               zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
-    f, soft = np.hypot(fy[:, None], fx), max(steps)
+    f = np.hypot(fy[:, None], fx)
     kernel = tail * 2 * np.pi / soft * (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6)
     if disc:
         v = np.maximum(2 * np.pi * disc * f, 1e-9)

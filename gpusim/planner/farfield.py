@@ -87,24 +87,26 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
     seam = SEAM * q**2.5 / away**2 * _step(outside, period)
-    seam *= 1 + HOLE * question.optics.pupil.obscuration**2
-    seam *= _coherence(question, away) / sqrt(cell[0] * cell[1])
+    hole = question.optics.pupil.obscuration  # what lies between its rims rings at frequencies lower by half that
+    seam *= _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
+    seam /= sqrt(cell[0] * cell[1])
     seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
 
 
-def _coherence(question, reach):
-    """What the waves of all wavelengths leave of one's, whose period is its q, in the mean over frame and channels.
+def _coherence(question, reach, part):
+    """What the waves of all wavelengths leave of one's, in the mean over frame and channels.
 
-    A hole makes slower waves, a spread of rays has them come from all of its rim: these leave all of it.
+    part: of the cut-off, at which they are: their period is q over it. A spread of rays has them come from all of its
+    rim, and leaves all of them.
     """
-    if question.optics.pupil.obscuration or question.spread > IN_FOCUS * question.mean_q:
+    if question.spread > IN_FOCUS * question.mean_q:
         return 1.0
     light = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
     away = np.linspace(reach, reach + max(question.size) / 2, DISTANCES)
-    left = np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away / question.q[:, None])) ** 2))
-    return float(left * max(question.mean_q / question.ratio / WIDE, 1))
+    left = float(np.sqrt(np.mean(np.abs(light @ np.exp(2j * pi * away * part / question.q[:, None])) ** 2)))
+    return left if question.optics.pupil.obscuration else left * max(question.mean_q / question.ratio / WIDE, 1)
 
 
 def _step(outside, period):

@@ -78,7 +78,9 @@ def options(question: Question, ways: list[Way], arounds: Iterable[list[Surround
             first = first or around
             if around is first or (around.far is not None and prod(around.period) <= WIDER * prod(first.period)):
                 most = max(most, costs[-1])  # the exact way, and with a world without end
-            affordable += [Option(way, around, fixed | {"planes": way.bound, "border": around.bound}, cost)
+            bounds = {name: bound.times(around.brighter) if name == "transforms" else bound  # bright ends go on in them
+                      for name, bound in fixed.items()}
+            affordable += [Option(way, around, bounds | {"planes": way.bound, "border": around.bound}, cost)
                            for way, cost in zip(ways, costs, strict=True) if cost <= most]
         if not affordable:
             break

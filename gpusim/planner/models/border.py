@@ -54,6 +54,11 @@ class Surroundings:
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
         return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
 
+    @cached_property
+    def brighter(self) -> float:
+        """Root mean square of what is transformed, over the frame's, at least 1."""
+        return self.outside.brighter(self.period)
+
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
         reach = min(self.reaches)
