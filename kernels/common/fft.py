@@ -94,6 +94,18 @@ def roots(device, length):
     return device.array(np.stack([values.real, values.imag], axis=-1))
 
 
+@functools.lru_cache(maxsize=64)
+def constant(device, values, shape):
+    """Array of these bytes on the device: a copy would wait for all that was launched before."""
+    return device.array(np.frombuffer(values, np.float32).reshape(shape))
+
+
+def roots_text(count) -> str:
+    """Roots of unity exp(2 pi i n / count), as PAIRs between commas."""
+    values = np.exp(2j * np.pi * np.arange(count) / count).round(12) + 0.0
+    return ", ".join(f"PAIR({value.real:.9f}f, {value.imag:.9f}f)" for value in values)
+
+
 def _local_forward(device, planes, first, size, border, period):
     """Rows first, those of the frame alone: what is above and below is filled in as the columns read."""
     _, rows, cols = planes.shape

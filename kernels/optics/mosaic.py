@@ -14,8 +14,6 @@ transform, 1/(ph pw) of the size, of
 M = P / (ph, pw). All phases together are one inverse transform of the frame in place of one per channel.
 """
 
-import functools
-
 import numpy as np
 
 from gpusim.kernels.common import fft
@@ -96,7 +94,7 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
                                        "FORWARD": fft.passes(period[0], columns_forward, -1)})
         group = fft.threads(device, period[1], rows_forward)
         device.launch(LINES, "fold", ((small[0] // 2 + 1) * group,), halves, tables,
-                      _constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)), roots_y, roots_x,
+                      fft.constant(device, mix[:, first : first + size].tobytes(), (len(mix), size)), roots_y, roots_x,
                       folded, int(first == 0), first, count, int(tables.shape[0] > 1), before[1], size, cols,
                       pitch, group=(group,),
                       defines=shape | {"THREADS": group, "ROWS_FORWARD": rows_forward, "ROWS_INVERSE": rows_inverse,
@@ -106,7 +104,7 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
                                                           fft.room(small[1], rows_inverse)),
                                        "OWN": -(-small[1] // group), "CHANNELS": len(mix),
                                        "CFA": ", ".join(map(str, cfa.ravel())),
-                                       "TURNS_Y": _roots_text(phases_y), "TURNS_X": _roots_text(phases_x)})
+                                       "TURNS_Y": fft.roots_text(phases_y), "TURNS_X": fft.roots_text(phases_x)})
     side_by_side = columns_inverse * cfa.size // 2
     group = fft.threads(device, small[0], side_by_side)
     device.launch(LINES, "columns_inverse", (-(-small[1] // columns_inverse) * group,), folded,
@@ -114,12 +112,6 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
                   defines=shape | {"THREADS": group, "COLUMNS_INVERSE": columns_inverse,
                                    "LOCAL_BYTES": fft.room(small[0], side_by_side),
                                    "INVERSE": fft.passes(small[0], side_by_side, 1, phases_y)})
-
-
-@functools.lru_cache(maxsize=64)
-def _constant(device, values, shape):
-    """Array of these bytes on the device: a copy would wait for all that was launched before."""
-    return device.array(np.frombuffer(values, np.float32).reshape(shape))
 
 
 def _lines(local_bytes, period, cfa_shape):
@@ -136,11 +128,6 @@ def _lines(local_bytes, period, cfa_shape):
              most([(n, n) for n in range(phases, 0, -1) if phases % n == 0], small[1]),
              most([(n, n * phases // 2) for n in (8, 4, 2, 1) if n * phases % 2 == 0], small[0]))
     return None if None in found else found
-
-
-def _roots_text(count):
-    roots = np.exp(2j * np.pi * np.arange(count) / count).round(12) + 0.0
-    return ", ".join(f"PAIR({root.real:.9f}f, {root.imag:.9f}f)" for root in roots)
 
 
 def _turns(length, count):

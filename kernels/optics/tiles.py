@@ -1,0 +1,207 @@
+"""Blur by tiles that overlap, each transformed by itself: to the mosaic, where a pixel gets its own channel, or to all.
+
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, side // 2 + 1, side // 2 + 1) float32 [1],
+mix (channels, planes), cfa (ph, pw) -> mosaic (rows, cols), or channels (channels, rows, cols), float32:
+
+    e(y, x) = sum over k of  mix[c, k] (tile_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw],
+
+tile_k the part of plane k that begins `overlap` samples before the part of the result, of (side - 2 overlap)^2 pixels,
+that it makes; the convolution is that of a tile which repeats itself. So kernels that end within `overlap` samples are
+exact, and longer ones see the wrong side of the tile: those of `optics.near` little, as what is left there rings.
+Transforms of one length for frames of all sizes, that stay in a core's cache or in local memory.
+"""
+
+import functools
+from math import prod
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+from gpusim.kernels.common import fft
+from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.stage import Case, stage
+
+LONGEST = 64  # samples along a side: 33 KB, which local memory holds
+LANES = 8  # lines that a CPU transforms at once
+TILES = 64  # that `_by_batches` transforms at a time
+GROUP = 256  # work-items to a tile on a GPU
+REGISTERS = 64  # of each at most, so that four tiles fit a multiprocessor
+PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
+RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
+
+
+@stage
+def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
+    """Convolve each plane with its kernels by tiles, and add up per channel.
+
+    planes: shape (planes, rows, cols). tables: quarters, shape (1 or channels, planes, side // 2 + 1, side // 2 + 1),
+    entry (i, j) at the frequency (i, j) / side cycles per sample. mix: shape (channels, planes). cfa: channel of each
+    pixel of one period of the mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect".
+    side: of a tile, up to LONGEST, a multiple of 8 times the mosaic's period, of factors 2 and 3 [sample]. overlap: of neighbours'
+    parts of the result on each side; side less twice this is a multiple of the mosaic's period. margin: samples of the
+    planes on each side that the result is without, or, below 0, that it has more.
+    Returns shape (rows - 2 margin, cols - 2 margin), or (channels, ...). Raises BadData for other sides and overlaps.
+    Source: overlap-save (Oppenheim and Schafer, Discrete-Time Signal Processing, 8.7); its fold is `optics.mosaic`'s.
+    """
+    _, rows, cols = planes.shape
+    mix = np.ascontiguousarray(device.numpy(mix), np.float32)
+    pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+    valid = side - 2 * overlap
+    if not has_tiles(side, overlap, pattern.shape):
+        raise BadData(f"tiles of {side} samples, {overlap} of them shared on each side, for a mosaic of "
+                      f"{pattern.shape[1]} x {pattern.shape[0]}; wanted up to {LONGEST}, a multiple of 8 times the "
+                      "period, of factors 2 and 3, and a part that is not shared of whole periods")
+    shape = rows - 2 * margin, cols - 2 * margin
+    images = len(mix) if cfa is None else 1
+    out = device.empty((images, *shape))
+    outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()  # from a tile's corner
+    count = tuple(-(-n // valid) for n in shape)
+    make = _by_lanes if device.on_host and device.kind == "opencl" else _by_batches if device.on_host else _by_groups
+    make(device, device.array(planes), device.array(tables), mix, outputs, pattern.shape, border, side, overlap, margin,
+         count, out)
+    return device.reshape(out, shape) if cfa is not None else out
+
+
+def has_tiles(side: int, overlap: int, period) -> bool:
+    """Whether there are tiles of such a side and overlap for a mosaic of this period."""
+    rest = side
+    for radix in (2, 3):
+        while rest % radix == 0:
+            rest //= radix
+    valid = side - 2 * overlap
+    return rest == 1 and side <= LONGEST and overlap >= 0 and valid > 0 and all(side % (LANES * n) == 0 == valid % n for n in period)
+
+
+def _by_lanes(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+    """On a CPU: a tile in each work-item, eight lines of it in the lanes of its vectors."""
+    (channels, number), (_, rows, cols) = mix.shape, planes.shape
+    even = number + number % 2
+    defines = {"SIDE": side, "OVERLAP": overlap, "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
+               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "PAIRS": min(even // 2, PAIRS),
+               "BORDER": BORDERS[border], "COLUMNS": _passes(side, 1, -1, "LOAD", "TO_B"),
+               "ROWS": _passes(side, 1, -1, "LOAD", "SAVE"),
+               "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
+               "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B")}
+    weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
+    device.launch("optics.tiles", "weights", (side, side // 2 + 1), tables, device.array(mix), weights,
+                  int(tables.shape[0] > 1), number, defines=defines)
+    device.launch("optics.tiles", "tiles", (count[0] * count[1],), planes, weights, fft.roots(device, side),
+                  _turns(device, side, period[0]), out, margin, number, rows, cols, *out.shape[1:], count[1],
+                  group=(1,), defines=defines)
+
+
+def _by_batches(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+    """By transforms of many tiles at a time, as `common.fft` makes them on the host."""
+    (channels, number), (_, rows, cols), (images, *shape) = mix.shape, planes.shape, out.shape
+    small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, count[0] * count[1]
+    of, mix = device.array(outputs, np.int32), device.array(mix)
+    pitch = fft.pitch_of(device, small[1])
+    for first in range(0, all_tiles, TILES):
+        some = min(TILES, all_tiles - first)
+        parts = device.empty((some * number, side, side))
+        device.launch("optics.tiles", "cut", parts.shape, planes, parts, BORDERS[border], first, valid,
+                      overlap - margin, number, rows, cols, side, count[1])
+        spectra = fft.forward(device, parts)
+        folded = device.empty((some * len(outputs), small[0], pitch, 2))
+        device.launch("optics.tiles", "fold", (some, small[0], small[1] // 2 + 1), spectra, tables, mix,
+                      fft.roots(device, side), of, folded, int(tables.shape[0] > 1), number, channels, len(outputs),
+                      *period, side)
+        pixels = fft.inverse(device, folded, small[1])
+        device.launch("optics.tiles", "place", (some * images, valid, valid), pixels, out, first, valid, overlap,
+                      1 / prod(period), images, len(outputs), *shape, *period, count[1])
+
+
+def _by_groups(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
+    """On a GPU: a tile in the local memory of each work-group."""
+    (channels, number), (_, rows, cols) = mix.shape, planes.shape
+    small, images = tuple(side // n for n in period), (len(outputs) + 1) // 2
+    together = images if np.prod(period) > 1 else 1
+    group = min(GROUP, device.group_limit)
+    room = 8 * max(side * (side + 1), together * small[0] * (small[1] + 1))
+    defines = {"THREADS": group, "REGISTERS": REGISTERS, "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
+               "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
+               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "BORDER": BORDERS[border],
+               "COLUMNS": _tile_passes(side, side, 1, -1, "COLUMN"), "ROWS": _tile_passes(side, side, 1, -1, "ROW"),
+               "BACK_X": _tile_passes(small[1], together * small[0], period[1], 1, "BACK_ROW"),
+               "BACK_Y": _tile_passes(small[0], together * small[1], period[0], 1, "BACK_COLUMN"),
+               "TURNS_Y": fft.roots_text(period[0]), "TURNS_X": fft.roots_text(period[1])}
+    device.launch("optics.tiles_groups", "tiles", (count[0] * count[1] * group,), planes, tables,
+                  fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side), out,
+                  int(tables.shape[0] > 1), margin, number, rows, cols, *out.shape[1:], count[1], group=(group,),
+                  defines=defines)
+
+
+def _radices(length):
+    found = []
+    for radix in RADICES:
+        while length % radix == 0:
+            found.append(radix)
+            length //= radix
+    return found
+
+
+def _tile_passes(length, lines, step, sign, place):
+    """TILE_PASSes of a transform; roots are those of length x step."""
+    radices = _radices(length)
+    return " ".join(f"TILE_PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f, {place})"
+                    for n, radix in enumerate(radices))
+
+
+def _passes(length, step, sign, source, target):
+    """LANES_PASSes of a transform from LOAD to a target; roots are those of length x step."""
+    radices = _radices(length)
+    between = ["B", "A"] if target == "SAVE" else ["A", "B"]
+    places = [between[n % 2] for n in range(len(radices) - 1)][::-1]
+    reads, writes = [source, *(f"FROM_{place}" for place in places)], [*(f"TO_{place}" for place in places), target]
+    return " ".join(f"LANES_PASS({radix}, {prod(radices[:n])}, {length}, {step}, {sign}.0f, {reads[n]}, {writes[n]})"
+                    for n, radix in enumerate(radices))
+
+
+@functools.cache
+def _turns(device, side, period):
+    """Real and imaginary parts of exp(2 pi i f d / side) for every phase d < period, shape (period, 2, side)."""
+    angle = 2 * np.pi * (np.outer(np.arange(period), np.arange(side)) % side) / side
+    return device.array(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def cases():
+    """All borders and Bayer phases, channels, periods 1 to 8, frames below a tile, own tables, margins, highlights."""
+    random = np.random.default_rng(15)
+    why = ("as optics.mosaic: a float32 transform errs by 3e-7 of the tile's root mean square, 1.2e-6 of the peak for "
+           "each of two, and what is folded by a rounding of each of its terms")
+    bayer, xtrans = np.array([[0, 1], [1, 2]]), np.arange(36).reshape(6, 6) % 3
+    for rows, cols, count, cfa, own, border, side, overlap, margin in (
+            (1, 1, 1, [[0]], 0, "zero", 64, 8, 0), (70, 101, 4, bayer, 1, "edge", 64, 8, 0),
+            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0), (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5),
+            (50, 90, 2, xtrans, 1, "edge", 48, 9, 0), (60, 75, 5, None, 1, "reflect", 64, 16, -2),
+            (90, 130, 2, None, 0, "edge", 48, 12, 0), (70, 66, 9, np.arange(32).reshape(8, 4) % 3, 0, "zero", 64, 8, 3),
+            (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0)):
+        channels = 3 if cfa is None else int(np.max(cfa)) + 1
+        f = np.arange(side // 2 + 1) / side
+        widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
+        planes = random.random((count, rows, cols))
+        if own:
+            planes[0, rows // 2, cols // 2] = 1e6
+        yield Case(f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
+                   f"{border}, tiles of {side} - 2 x {overlap}",
+                   {"planes": planes.astype(np.float32),
+                    "tables": np.exp(-2 * (np.pi * widths) ** 2 * (f[:, None] ** 2 + f**2)).astype(np.float32),
+                    "mix": random.random((channels, count)).astype(np.float32),
+                    "cfa": None if cfa is None else np.array(cfa, np.int32), "border": border, "side": side,
+                    "overlap": overlap, "margin": margin}, 2.4e-6, why)
+
+
+def bench(rows, cols):
+    """Four planes to a Bayer mosaic, tiles of 64 samples, 8 of them shared on each side."""
+    random = np.random.default_rng(15)
+    return {"planes": random.random((4, rows, cols), np.float32), "tables": random.random((3, 4, 33, 33), np.float32),
+            "mix": np.ones((3, 4), np.float32), "cfa": np.array([[0, 1], [1, 2]], np.int32), "border": "edge",
+            "side": 64, "overlap": 8}
+
+
+def operations(planes, tables, mix, cfa, border, side, overlap):
+    """Of each tile: transforms there; per frequency and channel each plane times its table; back one for each phase."""
+    valid = side - 2 * overlap
+    number = np.prod([-(-n // valid) for n in planes.shape[1:]])
+    back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
+    return number * (len(planes) * fft.operations((side, side)) + 4 * side * (side // 2 + 1) * np.size(mix) + back)
