@@ -65,7 +65,8 @@ class Forecast:
         for ms, option in self.front:
             _, _, value, _, unit = option.error.nearest(self._tolerance)
             chosen = " (chosen)" if option.words in " ".join(plan.models.values()) and (
-                option.period == plan.period and (option.far is None) is (plan.far is None)) else ""
+                (option.period, option.tiling) == (plan.period, plan.tiling)
+                and (option.far is None) is (plan.far is None)) else ""
             lines.append(f"  {ms:9.3f} ms  {value:8.2g}{unit}  {option.words}, {option.surroundings}{chosen}")
         return "\n".join(lines)
 
@@ -84,5 +85,5 @@ def _varied(plan, option):
     """The plan as far as its cost goes, by another option."""
     count, channels = option.planes, len(plan.weights)
     table = None if count == len(plan.content.entry_spectra) and plan.content.labels is None else np.empty((count, 0))
-    return replace(plan, period=option.period, far=option.far, table=table, mix=np.empty((channels, count)),
+    return replace(plan, period=option.period, tiling=option.tiling, far=option.far, table=table, mix=np.empty((channels, count)),
                    transfers=np.empty((channels, count, 0)))

@@ -37,7 +37,8 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)
     if plan.far is not None:
-        work["optics.far"] = multiplications(content.shape, planes, channels, plan.far.sigmas)
+        work["optics.far"] = multiplications(content.shape, planes, channels, plan.far.sigmas,
+                                            plan.far.spacings)
     if plan.highlights is not None:
         across = np.minimum(2 * plan.highlights.reach, max(content.shape))
         work["optics.splat"] = float(np.square(across, dtype=np.float64).sum()) * (1 if plan.folded else channels)
@@ -53,6 +54,11 @@ def _blur(plan, planes, samples, channels):
     frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
     if plan.fft_free:
         return {"optics.nearfar": samples * (planes + channels)}
+    if plan.tiling is not None:
+        side, cfa = plan.tiling.side, plan.camera.sensor.cfa_indices.shape
+        phases, size = (prod(cfa), [side // n for n in cfa]) if plan.folded else (channels, (side, side))
+        one = planes * fft.operations((side, side)) + 4 * frequencies * planes * channels
+        return {"optics.tiles": plan.tiling.samples(plan.scene.samples) / side**2 * (one + phases * fft.operations(size))}
     if plan.folded:
         cfa = plan.camera.sensor.cfa_indices.shape
         back = prod(cfa) * fft.operations([length // n for length, n in zip(plan.period, cfa, strict=True)])
@@ -78,7 +84,7 @@ def of_bench(stage: str, inputs: dict, rows: int, cols: int) -> float:
     if stage == "spectral.survey":
         entries, _, width = inputs["content"].shape
         return float(len(inputs["first"]) * width * entries)
-    if stage in ("optics.mosaic", "optics.blur"):
+    if stage in ("optics.mosaic", "optics.blur", "optics.tiles"):
         return float(stage_module(stage).operations(**inputs))
     if stage == "optics.far":
         return multiplications((rows, cols), inputs["weights"].shape[1], inputs["weights"].shape[0], inputs["sigmas"])

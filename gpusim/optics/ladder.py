@@ -19,21 +19,22 @@ import numpy as np
 from gpusim.domain.optics import Optics
 from gpusim.optics.lens import tail_of
 
-RATIO = 1.6  # of neighbours' widths: the sum of so few ripples by 1e-3 of the tail, which averages out
+RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
+LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
 REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what is left of the lens has ended
 WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
 POWERS = (3, 5, 7)  # of the tail
 LIMITS = {"edge": 1, "zero": 2, "reflect": np.inf}  # powers of sigma by which a Gaussian comes to its limit
 
 
-def gaussians(reach: float, longest: float) -> np.ndarray:
+def gaussians(reach: float, longest: float, ratio: float = RATIO) -> np.ndarray:
     """Standard deviations [sample], the last of them infinite, of what is left out within `reach`.
 
-    longest: side of the world that a transform repeats [sample].
+    longest: side of the world that a transform repeats [sample]. ratio: of neighbours' widths.
     """
-    first = RATIO * reach / REACH
-    count = max(int(np.ceil(log(WIDEST * longest / first) / log(RATIO))), 0) + 1
-    return np.append(first * RATIO ** np.arange(count), np.inf)
+    first = max(ratio * reach / REACH, LEAST)
+    count = max(int(np.ceil(log(WIDEST * longest / first) / log(ratio))), 1) + 1
+    return np.append(first * ratio ** np.arange(count), np.inf)
 
 
 def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
@@ -42,20 +43,20 @@ def energies(sigmas, tails, border: str | None = None) -> np.ndarray:
     border: the world's rule, by which what lies between the last Gaussian and infinity is shared out; None: all of it
     to the infinite one, as in a transfer function.
     """
-    finite = sigmas[:-1]
-    each = np.stack([2 ** (1 - p / 2) / gamma(p / 2) * log(RATIO) * 2 * pi * finite ** (2.0 - p) for p in POWERS])
+    finite, ratio = sigmas[:-1], sigmas[1] / sigmas[0]
+    each = np.stack([2 ** (1 - p / 2) / gamma(p / 2) * log(ratio) * 2 * pi * finite ** (2.0 - p) for p in POWERS])
     found = np.append(tails @ each, np.zeros((*tails.shape[:-1], 1)), axis=-1)
     last = tails * each[:, -1]
-    rest = last @ [_sum(p - 2) for p in POWERS]
-    near = 0.0 if border is None else last @ [_sum(p - 2 + LIMITS[border]) for p in POWERS]
+    rest = last @ [_sum(ratio, p - 2) for p in POWERS]
+    near = 0.0 if border is None else last @ [_sum(ratio, p - 2 + LIMITS[border]) for p in POWERS]
     found[..., -2] += near
     found[..., -1] = rest - near
     return found
 
 
-def _sum(power):
+def _sum(ratio, power):
     """Sum of ratio^-power, its square and so on."""
-    return 1 / (RATIO**power - 1)
+    return 1 / (ratio**power - 1)
 
 
 def tail(optics: Optics, q, waves, aperture) -> np.ndarray:

@@ -5,8 +5,8 @@ splines' places: a mirrored world has a mirrored grid. Samples come to it as d_i
 and go back as u(x) = sum over i of  c_i B((x - x_i) / D). In between is a filter c = g * d. With B's transfer function
 sinc^4 that makes a transfer function D sinc^8(D f) g(f) of it all, so a Gaussian G takes g = G / (D sinc^8).
 
-The grid is of two levels: narrow Gaussians are filtered on the first, wider ones on the second, four times coarser,
-whose splines are sums of those of the first (B(x / 2) = sum of (1, 4, 6, 4, 1) / 8 B(x - m), twice).
+Grids are of two or three levels: narrow Gaussians are filtered on the first, wider ones on the next, four times coarser, whose
+splines are sums of those of the one before (B(x / 2) = sum of (1, 4, 6, 4, 1) / 8 B(x - m), twice).
 Source: Unser, Splines: a perfect fit for signal and image processing (1999); the filter is derived here.
 """
 
@@ -15,12 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-COARSER = 4  # times the first level's spacing is the second's
-SPACINGS = 2.8  # of the first level in the standard deviation of the narrowest Gaussian
-LEAST = 2.15  # standard deviations of a Gaussian, in spacings, from which on splines carry it to 1e-7
+COARSER = 4  # times a level's spacing is the next one's
+MANY = 48  # spacings of both axes from which on there are three levels, and not two
+SPACINGS = 2.8  # of the first level in the standard deviation of the narrowest Gaussian, by default: to 1e-7 of a scene
+LEAST = 0.77  # of that many are enough for a Gaussian of the other levels
 TWICE = np.array((1, 4, 6, 4, 1)) / 8
-MASK = np.convolve(TWICE, np.insert(TWICE, slice(1, None), 0))  # of the second level's splines in the first's
-SPREAD = 6.0  # standard deviations at which a filter ends
+MASK = np.convolve(TWICE, np.insert(TWICE, slice(1, None), 0))  # of a level's splines in those of the one before
+SPREAD = 5.0  # standard deviations at which a filter ends
 SMALLEST = 1e-9  # of a row's largest entry, below which an entry is none
 
 
@@ -52,30 +53,71 @@ class Bands:
         return cls(start.astype(np.int32), count.astype(np.int32), np.ascontiguousarray(values, np.float32),
                    matrices.shape[2])
 
+    def in_blocks(self, rows: int) -> "Blocks":
+        """The same, so many rows of a matrix at a time."""
+        matrices, all_rows, most = self.values.shape
+        blocks = -(-all_rows // rows)
+        more = [(0, 0), (0, blocks * rows - all_rows)]
+        start, count = (np.pad(array, more, mode="edge").reshape(matrices, blocks, rows)
+                        for array in (self.start, self.count))
+        first = start.min(axis=2)
+        length = (start + count).max(axis=2) - first
+        values = np.zeros((matrices, blocks, int(length.max()), rows), np.float32)
+        own = np.pad(self.values, [*more, (0, 0)]).reshape(matrices, blocks, rows, most)
+        matrix, block, row, entry = np.nonzero(own)
+        values[matrix, block, (start - first[..., None])[matrix, block, row] + entry, row] = own[own != 0]
+        return Blocks(first.astype(np.int32), length.astype(np.int32), values, all_rows)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Matrices, some rows at a time, whose blocks have a few columns beside one another.
+
+    start, count: first column and number of columns, shape (matrices, blocks). values: float32 (matrices, blocks, most,
+    rows of a block). rows: of a matrix.
+    """
+
+    start: np.ndarray
+    count: np.ndarray
+    values: np.ndarray
+    rows: int
+
 
 @dataclass(frozen=True)
 class Axis:
     """One axis of n samples.
 
-    coarse: spacings of the second level. sigmas: of Gaussians [sample], in growing order. narrow: how many of them are
-    filtered on the first level. border: "zero", "edge" or "reflect".
+    coarse: spacings of the last level. sigmas: of Gaussians [sample], in growing order. ends: how many of them are
+    filtered up to each level. border: "zero", "edge" or "reflect".
     """
 
     n: int
     coarse: int
     sigmas: tuple[float, ...]
-    narrow: int
+    ends: tuple[int, ...]
     border: str
 
     @property
-    def fine(self) -> int:
-        """Spacings of the first level."""
-        return COARSER * self.coarse
+    def levels(self) -> int:
+        """Their number."""
+        return len(self.ends)
+
+    def size(self, level: int) -> int:
+        """Spacings of a level."""
+        return COARSER ** (self.levels - 1 - level) * self.coarse
+
+    def splines(self, level: int) -> int:
+        """Splines of a level that an axis keeps."""
+        return self.size(level) + 5
+
+    def of_level(self, level: int) -> slice:
+        """The Gaussians that are filtered there."""
+        return slice(self.ends[level - 1] if level else 0, self.ends[level])
 
     @property
     def step(self) -> float:
         """Distance of the first level's splines [sample]."""
-        return self.n / self.fine
+        return self.n / self.size(0)
 
     @cached_property
     def analysis(self) -> Bands:
@@ -91,30 +133,26 @@ class Axis:
         """
         return Bands.of([self._splines(np.arange(margin, self.n - margin), 2)])
 
-    @cached_property
-    def restriction(self) -> Bands:
-        """From what `analysis` gives to d_-2 .. of the second level, of the world without end."""
-        world = self._world(4 * COARSER)
+    def restriction(self, level: int) -> Bands:
+        """From what a level has, see `_world`, to d_-2 .. of the next one, of the world without end."""
+        world = self._world(level, 4 * COARSER)
         return Bands.of([np.stack([MASK @ world[at - 6 : at + 7] for at in
-                                   4 * COARSER + COARSER * np.arange(-2, self.coarse + 3)])])
+                                   4 * COARSER + COARSER * np.arange(-2, self.size(level + 1) + 3)])])
 
-    @cached_property
-    def prolongation(self) -> Bands:
-        """From the second level's coefficients c_-2 .. to the first's."""
-        apart = np.arange(-2, self.fine + 3)[:, None] - COARSER * np.arange(-2, self.coarse + 3)
+    def prolongation(self, level: int) -> Bands:
+        """From the next level's coefficients c_-2 .. to a level's."""
+        apart = np.arange(-2, self.size(level) + 3)[:, None] - COARSER * np.arange(-2, self.size(level + 1) + 3)
         return Bands.of([np.where(abs(apart) <= 6, MASK[np.clip(apart + 6, 0, 12)], 0)])
 
-    def filters(self, first: bool) -> Bands:
-        """Coefficients c_-2 .. from what a level has, of its Gaussians. first: whether it is the first level."""
-        level, size, step, sigmas = (self._world, self.fine, self.step, self.sigmas[: self.narrow]) if first else (
-            self._coarse_world, self.coarse, COARSER * self.step, self.sigmas[self.narrow :])
-        found = []
-        for sigma in sigmas:
+    def filters(self, level: int) -> Bands:
+        """Coefficients c_-2 .. from what a level has, of its Gaussians."""
+        found, size, step = [], self.size(level), self.n / self.size(level)
+        for sigma in self.sigmas[self.of_level(level)]:
             if np.isinf(sigma):
-                found.append(np.tile(self._limit(level, size, step), (size + 5, 1)))
+                found.append(np.tile(self._limit(level, step), (size + 5, 1)))
                 continue
             half = int(np.ceil(SPREAD * sigma / step))
-            taps, world = _taps(sigma / step, half) / step, level(half + 2)
+            taps, world = _taps(sigma / step, half) / step, self._world(level, half + 2)
             rows = np.arange(half, half + size + 5)[:, None] + np.arange(-half, half + 1)
             dense = np.zeros((size + 5, len(world)))
             np.put_along_axis(dense, rows, taps[None], 1)
@@ -123,7 +161,7 @@ class Axis:
 
     def _splines(self, at, more=1):
         """Splines -more .. fine + more of the first level at samples, shape (samples, fine + 2 more + 1)."""
-        return _cubic((np.asarray(at)[:, None] + 0.5) / self.step - np.arange(-more, self.fine + more + 1))
+        return _cubic((np.asarray(at)[:, None] + 0.5) / self.step - np.arange(-more, self.size(0) + more + 1))
 
     @cached_property
     def _sums(self):
@@ -131,59 +169,66 @@ class Axis:
         return self._splines(np.arange(-4 * int(np.ceil(self.step)) - 4, self.n + 4 * int(np.ceil(self.step)) + 4)
                              ).sum(axis=0) / self.step
 
-    def _world(self, more):
-        """d_i of the world without end, i = -more .. fine + more, from what `analysis` gives."""
-        i, inside = np.arange(-more, self.fine + more + 1), np.arange(-1, self.fine + 2)
-        world = np.zeros((len(i), self.fine + 5))
+    def _world(self, level, more):
+        """d_i of the world without end, i = -more .. size + more, from what a level has.
+
+        The first has what `analysis` gives, the others d_-2 .. of that world.
+        """
+        size = self.size(level)
+        i, inside = np.arange(-more, size + more + 1), np.arange(-1, size + 2)
+        if level:
+            if self.border == "reflect":
+                i = abs((i + size) % (2 * size) - size)
+            return (np.clip(i, -2, size + 2)[:, None] == np.arange(-2, size + 3)) * 1.0
+        world = np.zeros((len(i), size + 5))
         if self.border == "reflect":
             for image in (i[:, None] - inside, -i[:, None] - inside):
-                world[:, 1:-1] += image % (2 * self.fine) == 0
+                world[:, 1:-1] += image % (2 * size) == 0
             return world
         world[:, 1:-1] = i[:, None] == inside
         if self.border == "edge":
             beyond = int(np.ceil(3 * self.step)) + 1
             for column, at in ((0, np.arange(-beyond, 0)), (-1, np.arange(self.n, self.n + beyond))):
-                world[more - 1 : more + self.fine + 2, column] = self._splines(at).sum(axis=0) / self._sums
-            world[: more - 1, 0] = world[more + self.fine + 2 :, -1] = self.step
+                world[more - 1 : more + size + 2, column] = self._splines(at).sum(axis=0) / self._sums
+            world[: more - 1, 0] = world[more + size + 2 :, -1] = self.step
         return world
 
-    def _coarse_world(self, more):
-        """d_i of the world without end of the second level, i = -more .., from what `restriction` gives."""
-        i = np.arange(-more, self.coarse + more + 1)
-        if self.border == "reflect":
-            i = abs((i + self.coarse) % (2 * self.coarse) - self.coarse)
-        source = np.clip(i, -2, self.coarse + 2) + 2
-        return (source[:, None] == np.arange(self.coarse + 5)) * 1.0
-
-    def _limit(self, level, size, step):
+    def _limit(self, level, step):
         """Weights of what a level has in what an infinitely wide Gaussian gives."""
+        size = self.size(level)
         if self.border == "zero":
             return np.zeros(size + 5)
         if self.border == "edge":
-            world = level(size + 8)
+            world = self._world(level, size + 8)
             return (world[0] + world[-1]) / (2 * step)
-        world = level(0)  # a period of the mirrored world twice, but its ends
+        world = self._world(level, 0)  # a period of the mirrored world twice, but its ends
         return (world.sum(axis=0) - (world[0] + world[-1]) / 2) / (size * step)
 
 
-def axes(shape, sigmas, border: str) -> list[Axis]:
-    """Both axes of samples of this shape (rows, cols), whose grids are fine enough for all of these Gaussians."""
-    coarse = [max(1, int(np.ceil(n * SPACINGS / (COARSER * sigmas[0])))) for n in shape]
-    widest = max(n / one for n, one in zip(shape, coarse, strict=True))
-    narrow = int(np.searchsorted(sigmas, LEAST * widest))
-    return [Axis(n, one, tuple(sigmas), narrow, border) for n, one in zip(shape, coarse, strict=True)]
+def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
+    """Both axes of samples of this shape (rows, cols), whose grids are fine enough for all of these Gaussians.
+
+    spacings: of the first level in the standard deviation of the narrowest.
+    """
+    levels = 3 if min(shape) * spacings >= MANY * sigmas[0] else 2
+    least = COARSER ** (levels - 1)
+    coarse = [max(1, int(np.ceil(n * spacings / (least * sigmas[0])))) for n in shape]
+    widest = max(n / one for n, one in zip(shape, coarse, strict=True)) / least
+    ends = [int(np.searchsorted(sigmas, LEAST * spacings * widest * COARSER**level)) for level in range(1, levels)]
+    return [Axis(n, one, tuple(sigmas), (*ends, len(sigmas)), border) for n, one in zip(shape, coarse, strict=True)]
 
 
-def multiplications(shape, planes: int, channels: int, sigmas) -> float:
+def multiplications(shape, planes: int, channels: int, sigmas, spacings: float = SPACINGS) -> float:
     """Of a far field of so many planes and channels, about: what the matrices of both axes have to multiply."""
-    down, across = axes(shape, sigmas, "edge")
-    total = 4.0 * planes * shape[1] * (shape[0] + 5 * down.step) + 4.0 * channels * (down.fine + shape[0]) * across.fine
-    total += 4.0 * planes * (down.fine + 5) * (shape[1] + 5 * across.step) + 4.0 * shape[0] * shape[1]
-    for first, part in ((True, sigmas[: down.narrow]), (False, sigmas[down.narrow :])):
-        sizes = [(axis.fine if first else axis.coarse) + 5 for axis in (down, across)]
-        steps = [axis.step * (1 if first else COARSER) for axis in (down, across)]
-        for size, step in zip(sizes, steps, strict=True):
-            total += channels * sizes[0] * sizes[1] * np.minimum(2 * SPREAD * np.asarray(part) / step, size).sum()
+    down, across = axes(shape, sigmas, "edge", spacings)
+    high, wide = down.splines(0), across.splines(0)
+    total = 4.0 * planes * shape[1] * (shape[0] + 5 * down.step) + 4.0 * channels * shape[0] * wide
+    total += 4.0 * planes * high * (shape[1] + 5 * across.step) + 4.0 * shape[0] * shape[1]
+    for level in range(down.levels):
+        area, part = down.splines(level) * across.splines(level), np.asarray(sigmas[down.of_level(level)])
+        for axis in (down, across):
+            taps = np.minimum(2 * SPREAD * part * axis.size(level) / axis.n, axis.splines(level))
+            total += channels * area * taps.sum()
     return float(total)
 
 

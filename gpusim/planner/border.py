@@ -182,6 +182,11 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     @cached_property
+    def steps(self) -> float:
+        """Root mean square of steps between neighbours, down and across, over the level."""
+        return sqrt(sum(np.mean(np.diff(self.image, axis=axis) ** 2, dtype=np.float64) for axis in (0, 1))) / self.level
+
+    @cached_property
     def _squares(self):
         return np.square(self.image, dtype=np.float64)
 

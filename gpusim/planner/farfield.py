@@ -11,7 +11,9 @@ from math import pi, sqrt
 
 import numpy as np
 
-from gpusim.optics.ladder import energies, gaussians, tail, variance
+from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
+from gpusim.optics.splines import SPACINGS
+from gpusim.optics.tiling import Tiling
 from gpusim.planner.border import Outside, border_indices, rule_of
 from gpusim.planner.question import Question
 
@@ -22,6 +24,8 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
+TILE = 2.5e-5  # error by tiles
+TILES_RATIO, TILES_SPACINGS = 2.0, 1.6  # of Gaussians and splines beside tiles, which err by more
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
@@ -35,13 +39,15 @@ SPLINES = 1e-7  # relative RMS of the far field's own sums
 class FarField:
     """Gaussians in place of the world beyond a blur's reach.
 
-    sigmas: their standard deviations, shape (G,) [sample], the last one infinite. tails: of every wavelength, shape (L,
+    sigmas: their standard deviations, shape (G,) [sample], the last one infinite. spacings: of splines in the first of
+    them, see `optics.far`. tails: of every wavelength, shape (L,
     3), see `gpusim.optics.ladder.tail`. border: the rule by which the world goes on.
     """
 
     sigmas: np.ndarray
     tails: np.ndarray
     border: str
+    spacings: float
 
     def energies(self, transfers) -> np.ndarray:
         """What a plan's transfer tables have of them, shape (groups, planes, G). transfers: see `Plan`."""
@@ -67,17 +73,21 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
             and not any(question.moved) and min(question.size) >= LEAST_SIDE)
 
 
-def far_field(question: Question, reach: float) -> FarField | None:
-    """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few."""
+def far_field(question: Question, reach: float, side: int | None = None) -> FarField | None:
+    """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
+
+    side: of tiles that see so much around them, None: the frame is one transform [sample].
+    """
     q, optics = question.q, question.optics
     rings = RINGS * question.mean_q
     if optics.pupil.obscuration:
         rings *= 2 / (1 - optics.pupil.obscuration)
-    if reach < max(rings, RADII * question.spread, LEAST_REACH):
+    if reach < RADII * question.spread or (side is None and reach < max(rings, LEAST_REACH)):
         return None
-    sigmas = gaussians(reach, max(question.size) + 2 * reach)
+    ratio, spacings = (RATIO, SPACINGS) if side is None else (TILES_RATIO, TILES_SPACINGS)
+    sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, ratio)
     tails = tail(optics, q, optics.waves(question.scene.wavelengths), variance(optics, question.pitch, question.cell))
-    return FarField(sigmas, tails, rule_of(question.scene.border))
+    return FarField(sigmas, tails, rule_of(question.scene.border), spacings)
 
 
 def seam_error(outside: Outside, question: Question, period: tuple[int, int]) -> float:
@@ -93,6 +103,15 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
+
+
+def tile_error(outside: Outside, question: Question, tiling: Tiling) -> float:
+    """Relative root mean square error of a frame by tiles: each sees edges on its wrong side ring."""
+    if not outside.level > 0:
+        return 0.0
+    q, hole = question.mean_q, question.optics.pupil.obscuration
+    rings = TILE * q**2.5 * (8 / tiling.overlap) ** 1.2 * outside.steps
+    return sqrt(rings**2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

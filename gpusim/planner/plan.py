@@ -9,6 +9,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.tiling import Tiling
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
@@ -52,7 +53,8 @@ class Plan:
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
-    period: lengths of the transforms [sample]. slope: tangent of the field angle per pixel.
+    period: lengths of the transforms [sample]. tiling: of the frame into tiles of this period; None: it is one
+        transform. slope: tangent of the field angle per pixel.
     bytes_needed: device memory of a frame, where it was planned for a device; else 0.
     watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
         does. limit: relative RMS error up to which they do, SAFETY in it, None without a tolerance.
@@ -98,6 +100,7 @@ class Plan:
     probed: str = ""
     tolerance: Tolerance | None = None
     far: FarField | None = None
+    tiling: Tiling | None = None
 
     @property
     def count(self) -> int:
@@ -217,7 +220,8 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
         notes.left_out, account, notes.beside,
         None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.front,
-        tolerance=tolerance, far=seen.around.far if seen.around else None)
+        tolerance=tolerance, far=seen.around.far if seen.around else None,
+        tiling=seen.around.tiling if seen.around else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,9 +255,9 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     fixed |= notes.bounds | depth.bounds_of(by_depth, probes)
     arounds = border.surroundings(question, picture, by_depth, operation.level)
     found = options(question, spectral.ways(question, probes), arounds, fixed,
-                    lambda around: blur.form_of(question, around.folds, by_depth)[1])
+                    lambda around: blur.form_of(question, around, by_depth)[1])
     option, needed = chosen(found, tolerance), remedy(question, found, arounds, fixed)
-    form, folded = blur.form_of(question, option.around.folds, by_depth)
+    form, folded = blur.form_of(question, option.around, by_depth)
     notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
     planes = option.way.make()
     picture.describe_unsplit(notes)

@@ -8,6 +8,7 @@ from math import log2, prod
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.splines import multiplications
+from gpusim.optics.tiling import Tiling
 from gpusim.planner.farfield import FarField
 from gpusim.planner.models.border import Surroundings
 from gpusim.planner.models.spectral import Way
@@ -15,6 +16,7 @@ from gpusim.planner.question import Question
 
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
 CACHED = 2**21  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
+TILE_COST = 0.6  # [flop] of one of a tile's transforms, which stay in a core's cache
 FAR_COST = 3.5  # [flop] of a multiplication of the far field, measured beside transforms
 WIDER = 2.0  # times the exact way's samples that transforms may have, for a world without end beyond
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
@@ -53,13 +55,17 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
     """
     content, channels = question.content, len(question.weights)
     samples, area = prod(content.shape), float(prod(around.period))
-    transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
+    if around.tiling is None:
+        transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
+    else:
+        transform = TILE_COST * 2.5 * around.tiling.samples(question.scene.samples) * log2(area)
+        area = float(around.tiling.samples(question.scene.samples))
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
     products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
     far = 0.0
     if around.far is not None:
-        far = FAR_COST * multiplications(question.size, count, channels, around.far.sigmas)
+        far = FAR_COST * multiplications(question.size, count, channels, around.far.sigmas, around.far.spacings)
     return (count + back) * transform + products + far + FLOP_PER_BYTE * read
 
 
@@ -128,25 +134,27 @@ class Candidate:
     """What is told of an option.
 
     reach: surroundings on each side [pixel]. far: what the world beyond is left to; None: it is not seen. period: of
-    the transforms [sample].
+    the transforms [sample]. tiling: of the frame into tiles, if it is not one transform.
     """
 
     words: str
     planes: int
     reach: int
     far: FarField | None
+    tiling: Tiling | None
     period: tuple[int, int]
     error: Bound
 
     @property
     def surroundings(self) -> str:
         """What of the world takes part, in words."""
-        return f"{self.reach} pixels of surroundings{', and the world beyond' if self.far else ''}"
+        of = "surroundings" if self.tiling is None else f"surroundings of tiles of {self.tiling.side}"
+        return f"{self.reach} pixels of {of}{', and the world beyond' if self.far else ''}"
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         return {"words": self.words, "planes": self.planes, "reach": self.reach, "endless": self.far is not None,
-                "period": self.period, "error": asdict(self.error)}
+                "tiles": self.tiling is not None, "period": self.period, "error": asdict(self.error)}
 
 
 def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
@@ -156,4 +164,4 @@ def front(found: list[Option], tolerance: Tolerance) -> tuple[Candidate, ...]:
         if not best or NEAR * option.total.ratio(tolerance) < best[-1].total.ratio(tolerance):
             best.append(option)
     return tuple(Candidate(option.way.words, option.way.count, option.around.reach, option.around.far,
-                           option.around.period, option.total) for option in best)
+                           option.around.tiling, option.around.period, option.total) for option in best)

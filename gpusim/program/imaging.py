@@ -18,6 +18,7 @@ from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
+from gpusim.kernels.optics.tiles import tiles
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.planner.highlights import point_kernels
@@ -76,9 +77,7 @@ class Imaging:
             return self.channels(plan, planes), cfa
         planes = self._before(plan, planes)
         if plan.folded:
-            rates = mosaic(planes, self.tables.transfer(plan), plan.mix, cfa, self._border(plan), plan.period,
-                           margin=plan.scene.margin, device=device)
-            rates = self._with_far(plan, planes, rates, cfa, plan.scene.margin)
+            rates = self._alike(plan, planes, cfa, self._border(plan), plan.scene.margin)
         else:
             rates = collect(self._blurred(plan, planes), cfa, 1.0, 0.0, device=device)  # the mosaic, for one second
         if plan.highlights is not None:
@@ -143,19 +142,25 @@ class Imaging:
             if margin:
                 rates = self._inside(rates, margin)
         elif plan.depth is None:
-            rates = blur(planes, self.tables.transfer(plan), plan.mix, border, plan.period,
-                         margin=margin - plan.spare, device=device)
-            rates = self._with_far(plan, planes, rates, None, margin - plan.spare)
+            rates = self._alike(plan, planes, None, border, margin - plan.spare)
         else:
             rates = self._by_depth(plan, planes, border)
         return rates
 
-    def _with_far(self, plan, planes, rates, cfa, margin):
-        """The mosaic, or the channels, with what comes from beyond the blur's reach."""
+    def _alike(self, plan, planes, cfa, border, margin):
+        """The mosaic, or the channels (cfa None), where the blur is the same all over the frame."""
+        inputs = planes, self.tables.transfer(plan), plan.mix
+        if plan.tiling is not None:
+            rates = tiles(*inputs, cfa, border, plan.tiling.side, plan.tiling.overlap, margin=margin,
+                          device=self.device)
+        elif cfa is not None:
+            rates = mosaic(*inputs, cfa, border, plan.period, margin=margin, device=self.device)
+        else:
+            rates = blur(*inputs, border, plan.period, margin=margin, device=self.device)
         if plan.far is None:
             return rates
         return far(rates, planes, plan.far.weights(plan.mix, plan.transfers), plan.far.sigmas, cfa, plan.far.border,
-                   margin=margin, device=self.device)
+                   margin=margin, spacings=plan.far.spacings, device=self.device)
 
     def _inside(self, planes, margin):
         """Planes without `margin` samples on each side: weights of 1 change no value."""

@@ -87,6 +87,8 @@ def _blur(plan, device, planes, shape):
     (rows, cols), (high, wide), channels = shape, plan.period, len(plan.weights)
     if plan.fft_free:
         return 4 * (planes + channels) * rows * cols * 2
+    if plan.tiling is not None:
+        return _by_tiles(plan, device, planes)
     by_host = device.on_host or room(max(plan.period)) > device.local_bytes
     spectrum, batches = 8 * high * pitch_of(device, wide), [min(BATCH, planes - first)
                                                            for first in range(0, planes, BATCH)]
@@ -104,15 +106,32 @@ def _blur(plan, device, planes, shape):
     return forward + channels * (spectrum + 4 * high * wide + 4 * prod(plan.scene.samples))
 
 
+def _by_tiles(plan, device, planes):
+    """The mosaic or the channels; what tells a tile's frequencies; spectra of all tiles where SciPy transforms them."""
+    side, samples, channels = plan.tiling.side, prod(plan.scene.samples), len(plan.weights)
+    total = 4 * samples * (1 if plan.folded else channels)
+    if device.on_host and device.kind == "opencl":
+        total += 4 * side * (side // 2 + 1) * (planes + planes % 2) * channels
+    elif device.on_host:
+        tiles, half = plan.tiling.samples(plan.scene.samples), side // 2 + 1
+        phases = plan.camera.sensor.cfa_indices.shape if plan.folded else (1, 1)
+        high, wide = (side // n for n in phases)
+        outputs = prod(phases) if plan.folded else channels
+        of_tile = planes * (4 * side**2 + 8 * side * half) + outputs * high * (8 * (wide // 2 + 1) + 4 * wide)
+        total += tiles // side**2 * of_tile
+    return total
+
+
 def _far(plan, planes, shape):
     """Splines of the far field, from the planes to the lines of every channel, tables without it, and rates with it."""
-    down, across = axes(shape, plan.far.sigmas, plan.far.border)
-    channels, narrow, wide = len(plan.weights), down.narrow, len(plan.far.sigmas) - down.narrow
-    high, across_all = (axis.fine + 5 for axis in (down, across))
-    fine, coarse = high * across_all, (down.coarse + 5) * (across.coarse + 5)
-    rows = prod(plan.scene.samples) // plan.scene.samples[1]
-    values = planes * (high * shape[1] + fine + coarse * 4 + coarse)
-    values += channels * (2 * narrow * fine + 2 * wide * coarse + fine + 5 * coarse + rows * across_all)
+    down, across = axes(shape, plan.far.sigmas, plan.far.border, plan.far.spacings)
+    channels, (high, wide) = len(plan.weights), (axis.splines(0) for axis in (down, across))
+    values = planes * high * (shape[1] + wide) + channels * prod(plan.scene.samples) // plan.scene.samples[1] * wide
+    for level in range(down.levels):
+        (high, wide), part = (axis.splines(level) for axis in (down, across)), down.of_level(level)
+        values += 2 * channels * high * wide * len(plan.far.sigmas[part]) + channels * high * wide
+        if level:  # from the one before and back
+            values += planes * high * (4 * wide + wide) + channels * 4 * high * wide
     quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
     tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
     return 4 * (values + tables * quarter + (1 if plan.folded else channels) * prod(plan.scene.samples))

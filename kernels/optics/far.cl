@@ -1,36 +1,47 @@
-// WIDTH values per work-item. Lanes are neighbours in memory, and all have the same matrix row.
+// WIDTH lanes of BLOCK rows of a matrix per work-item. Lanes are neighbours in memory.
 #include "lanes.clh"
 
 __kernel void product(
     // in:
     __global const float *restrict given,   // [batch * sums][size][lanes]
-    __global const float *restrict values,  // [matrices][rows][most]
-    __global const int *restrict start, __global const int *restrict count,  // [matrices][rows]
+    __global const float *restrict values,  // [matrices][blocks][most][BLOCK]
+    __global const int *restrict start, __global const int *restrict count,  // [matrices][blocks]
     // out:
     __global float *restrict out,           // [batch][rows][lanes], or [batch][lanes][rows] if turned
     // params:
     const int is_added, const int is_turned,
     // sizes:
-    const int lines, const int lanes, const int size, const int rows, const int most, const int matrices,
-    const int sums)
+    const int lines, const int lanes, const int size, const int rows, const int blocks, const int most,
+    const int matrices, const int sums)
 {
     const int lane = WIDTH * get_global_id(0), line = get_global_id(1), own_lanes = min(WIDTH, lanes - lane);
     GUARD(lane >= lanes || line >= lines)
-    const int row = line % rows, batch = line / rows;
-    real sum = 0.0f;
+    const int first = line % blocks * BLOCK, batch = line / blocks, own_rows = min(BLOCK, rows - first);
+    real total[BLOCK];
+#pragma unroll
+    for (int row = 0; row < BLOCK; ++row) total[row] = 0.0f;
     for (int part = 0; part < sums; ++part) {
-        const int place = batch * sums + part, own = place % matrices * rows + row, entries = count[own];
-        __global const float *weight = values + (size_t)own * most;
+        const int place = batch * sums + part, own = place % matrices * blocks + line % blocks, entries = count[own];
+        __global const float *weight = values + (size_t)own * most * BLOCK;
         __global const float *value = given + ((size_t)place * size + start[own]) * lanes + lane;
-        for (int entry = 0; entry < entries; ++entry, value += lanes) sum += weight[entry] * load(value, own_lanes);
+        for (int entry = 0; entry < entries; ++entry, value += lanes, weight += BLOCK) {
+            const real light = load(value, own_lanes);
+#pragma unroll
+            for (int row = 0; row < BLOCK; ++row) total[row] += weight[row] * light;
+        }
     }
     if (is_turned) {
-        __global float *to = out + ((size_t)batch * lanes + lane) * rows + row;
-        for (int i = 0; i < own_lanes; ++i) to[i * rows] = (is_added ? to[i * rows] : 0.0f) + ((float *)&sum)[i];
+        __global float *to = out + ((size_t)batch * lanes + lane) * rows + first;
+        for (int i = 0; i < own_lanes; ++i)
+            for (int row = 0; row < own_rows; ++row)
+                to[i * rows + row] = (is_added ? to[i * rows + row] : 0.0f) + ((float *)&total[row])[i];
     } else {
-        __global float *to = out + ((size_t)batch * rows + row) * lanes + lane;
-        if (is_added) sum += load(to, own_lanes);
-        STORE(float, sum, to, own_lanes)
+        for (int row = 0; row < own_rows; ++row) {
+            __global float *to = out + ((size_t)batch * rows + first + row) * lanes + lane;
+            real sum = total[row];
+            if (is_added) sum += load(to, own_lanes);
+            STORE(float, sum, to, own_lanes)
+        }
     }
 }
 

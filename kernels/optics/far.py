@@ -15,13 +15,16 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.stage import Case, stage
-from gpusim.optics.splines import axes
+from gpusim.optics.ladder import LEAST
+from gpusim.optics.splines import SPACINGS, axes
 
-LEAST_SIDE, LEAST_SIGMA = 8, 4.0  # of planes, and of Gaussians [sample]
+LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
+
+BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly of the same places
 
 
 @stage
-def far(device, onto, planes, weights, sigmas, cfa, border, margin=0):
+def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=SPACINGS):
     """Add the far field of planes to what is blurred of them.
 
     onto: shape (rows - 2 margin, cols - 2 margin), a mosaic, or (channels, ...), every channel. planes: shape (planes,
@@ -29,7 +32,8 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0):
     standard deviations, shape (G,) [sample], growing; infinite: the mean of the four corners of a world that goes on
     as its edge, of the frame of one that is mirrored, 0 of a dark one. cfa: channel of each pixel of one period of the
     mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect". margin: samples of the planes
-    on each side that `onto` is without, or, below 0, that it has more, up to LEAST_SIGMA / 3.
+    on each side that `onto` is without, or, below 0, that it has more, up to LEAST_SIGMA / 3. spacings: of splines in
+    the first of the standard deviations: 2.8 errs by 1e-7 of a scene's root mean square, 1.6 by 1e-6.
     Returns the shape of onto. Raises OutOfRange for planes of less than LEAST_SIDE samples a side and Gaussians below
     LEAST_SIGMA. Source: the sum is the formula; for its grids see `gpusim.optics.splines`.
     """
@@ -39,7 +43,7 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0):
         raise OutOfRange("planes", f"{shape[1]} x {shape[0]} samples", f"at least {LEAST_SIDE} along each axis")
     if not (sigmas[0] >= LEAST_SIGMA and np.all(sigmas[1:] > sigmas[:-1])):
         raise OutOfRange("sigmas", sigmas, f"growing ones from {LEAST_SIGMA:g} samples on")
-    chain = _Chain(device, *axes(shape, sigmas, border))
+    chain = _Chain(device, *axes(shape, sigmas, border, spacings))
     light = chain.coefficients(device.array(planes), weights.astype(np.float32))
     return chain.added(device.array(onto), light, cfa, margin)
 
@@ -49,36 +53,43 @@ class _Chain:
 
     def __init__(self, device, down, across):
         self.device, self.down, self.across = device, down, across
-        self.width = 8 if device.kind == "opencl" and device.on_host else 1  # lanes of a work-item
-        self.defines = {"WIDTH": self.width} if device.kind == "opencl" else None
+        on_cpu = device.kind == "opencl" and device.on_host
+        self.width, self.block = (8, BLOCK) if on_cpu else (1, 1)  # lanes and rows of a work-item
+        self.defines = {"WIDTH": self.width, "BLOCK": self.block} if device.kind == "opencl" else None
 
     def coefficients(self, planes, weights):
         """Splines of the first level, (channels, rows, cols), that are the far field."""
-        down, across, narrow = self.down, self.across, self.down.narrow
-        own = self._product(planes, _matrices(self.device, down, "analysis"), turned=True)
-        own = self._product(own, _matrices(self.device, across, "analysis"))  # (planes, cols, rows) of splines
-        wide = self._product(own, _matrices(self.device, across, "restriction"), turned=True)
-        wide = self._product(wide, _matrices(self.device, down, "restriction"), turned=True)
-        wide = self._filtered(wide, weights[:, :, narrow:], first=False)
-        wide = self._product(wide, _matrices(self.device, down, "prolongation"), turned=True)
-        light = self._filtered(own, weights[:, :, :narrow], first=True) if narrow else None
-        return self._product(wide, _matrices(self.device, across, "prolongation"), turned=True, onto=light)
+        own = self._product(planes, self._matrices(self.down, "analysis"), turned=True)
+        own = self._product(own, self._matrices(self.across, "analysis"))  # (planes, cols, rows) of splines
+        return self._of_level(own, weights, 0)
 
-    def _filtered(self, own, weights, first):
-        """Coefficients (channels, rows, cols) of a level from what it has, (planes, cols, rows)."""
+    def _of_level(self, own, weights, level):
+        """The same of a level and those beyond it, from what it has, (planes, cols, rows)."""
+        some = weights[:, :, self.down.of_level(level)]
+        light = self._filtered(own, some, level) if some.size else None
+        if level == self.down.levels - 1:
+            return light
+        wide = self._product(own, self._matrices(self.across, "restriction", level), turned=True)
+        wide = self._product(wide, self._matrices(self.down, "restriction", level), turned=True)
+        wide = self._of_level(wide, weights, level + 1)
+        wide = self._product(wide, self._matrices(self.down, "prolongation", level), turned=True)
+        return self._product(wide, self._matrices(self.across, "prolongation", level), turned=True, onto=light)
+
+    def _filtered(self, own, weights, level):
+        """Coefficients (channels, rows, cols) of a level's Gaussians."""
         device, (channels, count, sigmas) = self.device, weights.shape
         _, cols, rows = own.shape
         mixed = device.empty((channels * sigmas, cols, rows))
         device.launch("optics.far", "combine", (channels * sigmas, cols * rows), own, _constant(
             device, weights.tobytes(), weights.shape), mixed, channels * sigmas, cols * rows, count, sigmas,
             defines=self.defines)
-        found = self._product(mixed, _matrices(self.device, self.across, "first" if first else "second"), turned=True)
-        return self._product(found, _matrices(self.device, self.down, "first" if first else "second"), sums=sigmas)
+        found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
+        return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
     def added(self, onto, light, cfa, margin):
         """The mosaic, or every channel, with the splines' values."""
         device, (rows, cols) = self.device, onto.shape[-2:]
-        lines = self._product(light, _samples(device, self.down, margin))
+        lines = self._product(light, self._matrices(self.down, "synthesis", margin))
         (channels, _, splines), planes = lines.shape, 1 if cfa is not None else light.shape[0]
         pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
         values, start = _along_rows(device, self.across, margin, rows * splines, pattern.tobytes(), pattern.shape)
@@ -93,26 +104,29 @@ class _Chain:
 
         sums: matrices in turn whose products are added up: as many of the batch become one.
         """
-        start, count, values = bands
-        (batch, size, lanes), (matrices, rows, most) = given.shape, values.shape
+        start, count, values, rows = bands
+        (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
         out = onto if onto is not None else self.device.empty(
             (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes))
-        self.device.launch("optics.far", "product", (batch // sums * rows, -(-lanes // self.width)), given, values,
-                           start, count, out, int(onto is not None), int(turned), batch // sums * rows, lanes, size,
-                           rows, most, matrices, sums, defines=self.defines)
+        self.device.launch("optics.far", "product", (batch // sums * blocks, -(-lanes // self.width)), given, values,
+                           start, count, out, int(onto is not None), int(turned), batch // sums * blocks, lanes, size,
+                           rows, blocks, most, matrices, sums, defines=self.defines)
         return out
 
-
-@functools.lru_cache(maxsize=64)
-def _matrices(device, axis, name):
-    """Bands of an axis on the device: start, count and values."""
-    return _stored(device, axis.filters(name == "first") if name in ("first", "second") else getattr(axis, name))
+    def _matrices(self, axis, name, of=None):
+        return _bands(self.device, axis, name, of, self.block)
 
 
-@functools.lru_cache(maxsize=32)
-def _samples(device, axis, margin):
-    """The same of the samples that are asked for from its splines."""
-    return _stored(device, axis.synthesis(margin))
+@functools.lru_cache(maxsize=128)
+def _bands(device, axis, name, of, block):
+    """Bands of an axis on the device: start, count, values and number of their rows, a block of these at a time.
+
+    of: what they are of, such as a level.
+    """
+    made = getattr(axis, name)
+    bands = (made if of is None else made(of)).in_blocks(block)
+    return (device.array(bands.start, np.int32), device.array(bands.count, np.int32), device.array(bands.values),
+            bands.rows)
 
 
 @functools.lru_cache(maxsize=32)
@@ -126,10 +140,6 @@ def _along_rows(device, axis, margin, plane, pattern, period):
     start = plane * cfa[:, np.arange(bands.start.shape[1]) % period[1]] + bands.start[0]
     assert bands.values.shape[2] == 4
     return device.array(bands.values[0].T), device.array(start, np.int32)
-
-
-def _stored(device, bands):
-    return (device.array(bands.start, np.int32), device.array(bands.count, np.int32), device.array(bands.values))
 
 
 @functools.lru_cache(maxsize=64)
@@ -150,7 +160,9 @@ def cases():
             (97, 40, 2, 3, bayer, "reflect", 0, 11.6), (150, 130, 2, 2, None, "edge", 9, 23.3),
             (64, 65, 31, 3, bayer, "zero", 0, 8.0), (33, 47, 2, 4, np.arange(15).reshape(3, 5) % 4, "reflect", 3, 6.0),
             (300, 20, 1, 1, None, "edge", 0, 4.0), (70, 51, 2, 2, None, "edge", -3, 11.6),
-            (51, 70, 1, 2, None, "reflect", -2, 8.0), (31, 31, 1, 1, None, "zero", -1, 5.0)):
+            (51, 70, 1, 2, None, "reflect", -2, 8.0), (31, 31, 1, 1, None, "zero", -1, 5.0),
+            (90, 131, 4, 3, bayer, "edge", 0, 4.0), (120, 88, 2, 3, bayer, "reflect", 5, 4.0),
+            (101, 99, 3, 2, None, "zero", -1, 5.0)):
         sigmas = np.append(first * 1.6 ** np.arange(9), np.inf)
         planes = np.cumsum(random.standard_normal((count, rows, cols)), axis=2)
         planes[0, rows // 2, cols // 3 :] += 30

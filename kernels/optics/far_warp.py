@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 def product(
     # in:
     given: wp.array3d[float],
-    values: wp.array3d[float],
+    values: wp.array4d[float],
     start: wp.array2d[int],
     count: wp.array2d[int],
     # out:
@@ -23,6 +23,7 @@ def product(
     lanes: int,
     size: int,
     rows: int,
+    blocks: int,
     most: int,
     matrices: int,
     sums: int,
@@ -36,7 +37,7 @@ def product(
         matrix = place % matrices
         first = start[matrix, row]
         for entry in range(count[matrix, row]):
-            total += values[matrix, row, entry] * given[place, first + entry, lane]
+            total += values[matrix, row, entry, 0] * given[place, first + entry, lane]
     y = row
     x = lane
     if is_turned != 0:

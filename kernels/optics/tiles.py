@@ -20,9 +20,9 @@ from gpusim.domain.errors import BadData
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
+from gpusim.optics.tiling import LANES, LONGEST, Tiling
 
-LONGEST = 64  # samples along a side: 33 KB, which local memory holds
-LANES = 8  # lines that a CPU transforms at once
+MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
 REGISTERS = 64  # of each at most, so that four tiles fit a multiprocessor
@@ -44,32 +44,38 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
     Source: overlap-save (Oppenheim and Schafer, Discrete-Time Signal Processing, 8.7); its fold is `optics.mosaic`'s.
     """
     _, rows, cols = planes.shape
+    planes, tables = device.array(planes), device.array(tables)
     mix = np.ascontiguousarray(device.numpy(mix), np.float32)
     pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-    valid = side - 2 * overlap
-    if not has_tiles(side, overlap, pattern.shape):
+    made = Tiling(side, overlap)
+    if not made.suits(pattern.shape):
         raise BadData(f"tiles of {side} samples, {overlap} of them shared on each side, for a mosaic of "
                       f"{pattern.shape[1]} x {pattern.shape[0]}; wanted up to {LONGEST}, a multiple of 8 times the "
                       "period, of factors 2 and 3, and a part that is not shared of whole periods")
+    if cfa is None and len(mix) > MOST:
+        return _one_by_one(device, planes, tables, mix, border, side, overlap, margin)
     shape = rows - 2 * margin, cols - 2 * margin
     images = len(mix) if cfa is None else 1
     out = device.empty((images, *shape))
     outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()  # from a tile's corner
-    count = tuple(-(-n // valid) for n in shape)
+    count = tuple(-(-n // made.valid) for n in shape)
     make = _by_lanes if device.on_host and device.kind == "opencl" else _by_batches if device.on_host else _by_groups
-    make(device, device.array(planes), device.array(tables), mix, outputs, pattern.shape, border, side, overlap, margin,
+    make(device, planes, tables, mix, outputs, pattern.shape, border, side, overlap, margin,
          count, out)
     return device.reshape(out, shape) if cfa is not None else out
 
 
-def has_tiles(side: int, overlap: int, period) -> bool:
-    """Whether there are tiles of such a side and overlap for a mosaic of this period."""
-    rest = side
-    for radix in (2, 3):
-        while rest % radix == 0:
-            rest //= radix
-    valid = side - 2 * overlap
-    return rest == 1 and side <= LONGEST and overlap >= 0 and valid > 0 and all(side % (LANES * n) == 0 == valid % n for n in period)
+def _one_by_one(device, planes, tables, mix, border, side, overlap, margin):
+    """Every channel of the planes that it has."""
+    channels = []
+    for c, weights in enumerate(mix):
+        used = np.flatnonzero(weights)
+        own = device.part(tables, c if tables.shape[0] > 1 else 0)
+        parts, theirs = (device.stack([device.part(array, int(k)) for k in used]) for array in (planes, own))
+        channel = tiles(parts, device.reshape(theirs, (1, *theirs.shape)), weights[None, used], None, border, side,
+                        overlap, margin, device=device)
+        channels.append(device.part(channel, 0))
+    return device.stack(channels)
 
 
 def _by_lanes(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
@@ -93,7 +99,7 @@ def _by_lanes(device, planes, tables, mix, outputs, period, border, side, overla
 def _by_batches(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
     """By transforms of many tiles at a time, as `common.fft` makes them on the host."""
     (channels, number), (_, rows, cols), (images, *shape) = mix.shape, planes.shape, out.shape
-    small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, count[0] * count[1]
+    small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
     of, mix = device.array(outputs, np.int32), device.array(mix)
     pitch = fft.pitch_of(device, small[1])
     for first in range(0, all_tiles, TILES):
@@ -173,10 +179,10 @@ def cases():
     for rows, cols, count, cfa, own, border, side, overlap, margin in (
             (1, 1, 1, [[0]], 0, "zero", 64, 8, 0), (70, 101, 4, bayer, 1, "edge", 64, 8, 0),
             (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0), (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5),
-            (50, 90, 2, xtrans, 1, "edge", 48, 9, 0), (60, 75, 5, None, 1, "reflect", 64, 16, -2),
+            (50, 90, 2, xtrans, 1, "edge", 48, 9, 0), (60, 75, 5, None, 1, "reflect", 64, 16, -2), (40, 61, 11, None, 1, "zero", 64, 12, 1),
             (90, 130, 2, None, 0, "edge", 48, 12, 0), (70, 66, 9, np.arange(32).reshape(8, 4) % 3, 0, "zero", 64, 8, 3),
             (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0)):
-        channels = 3 if cfa is None else int(np.max(cfa)) + 1
+        channels = (11 if count == 11 else 3) if cfa is None else int(np.max(cfa)) + 1
         f = np.arange(side // 2 + 1) / side
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         planes = random.random((count, rows, cols))
@@ -201,7 +207,6 @@ def bench(rows, cols):
 
 def operations(planes, tables, mix, cfa, border, side, overlap):
     """Of each tile: transforms there; per frequency and channel each plane times its table; back one for each phase."""
-    valid = side - 2 * overlap
-    number = np.prod([-(-n // valid) for n in planes.shape[1:]])
+    number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
     return number * (len(planes) * fft.operations((side, side)) + 4 * side * (side // 2 + 1) * np.size(mix) + back)

@@ -5,19 +5,20 @@ from dataclasses import replace
 from gpusim.domain.account import SAFETY, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.depth import DepthPlan
+from gpusim.planner.models.border import Surroundings
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Question, displaced
 
-ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.nearfar": ", without transforms", "optics.blur": ""}
+ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.nearfar": ", without transforms", "optics.blur": "",
+           "optics.tiles": ", by tiles"}
 
 
-def form_of(question: Question, folds: bool, depth: DepthPlan | None) -> tuple[str, bool]:
+def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
     """The stage that blurs, and whether it gives the mosaic at once.
 
-    folds: whether the mosaic folds into the transforms. Layers by depth are laid over one another channel by channel.
-    Raises OutOfRange.
+    around: what takes part. Layers by depth are laid over one another channel by channel. Raises OutOfRange.
     """
     optics, sensor = question.optics, question.sensor
     if question.fft_free and question.is_blurred:
@@ -25,8 +26,10 @@ def form_of(question: Question, folds: bool, depth: DepthPlan | None) -> tuple[s
             raise OutOfRange("fft_free", f"{optics.description}{', by depth' if depth is not None else ''}",
                              "a blur that is the same all over the frame and at every angle")
         return "optics.nearfar", False
-    folded = (folds and question.ratio == 1 and not sensor.is_monochrome and not sensor.stacked
+    folded = (around.folds and question.ratio == 1 and not sensor.is_monochrome and not sensor.stacked
               and optics.is_symmetric and not optics.varies and not any(question.moved) and depth is None)
+    if around.tiling is not None:
+        return "optics.tiles", folded
     return "optics.mosaic" if folded else "optics.blur", folded
 
 

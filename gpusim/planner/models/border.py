@@ -12,15 +12,18 @@ from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
 from gpusim.optics.lens import tail_of
+from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
-from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error
+from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error, tile_error
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
+OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
+EDGY = 4.0, 8.0  # 99.9 % quantile and maximum of waves beside edges, likewise
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
@@ -32,6 +35,7 @@ class Surroundings:
     reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
     lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
     level: electrons of the frame's root mean square. far: what the world beyond is left to, None: it is not seen.
+    tiling: of tiles that see so much around them, None: the frame is one transform.
     question: what is asked.
     """
 
@@ -42,11 +46,16 @@ class Surroundings:
     outside: Outside
     level: float
     far: FarField | None
+    tiling: Tiling | None
     question: Question
 
     @cached_property
     def bound(self) -> Bound:
-        """Error of what is not seen."""
+        """Error of what is not seen, or seen on the wrong side."""
+        if self.tiling is not None:
+            rms = tile_error(self.outside, self.question, self.tiling)
+            sigma = np.sqrt(self.level) * rms / self.outside.sigmas
+            return Bound(rms, EDGY[0] * float(np.quantile(sigma, 0.999)), EDGY[1] * float(sigma.max()))
         if self.far is not None:
             rms = seam_error(self.outside, self.question, self.period)
             sigma = np.sqrt(self.level) * rms / self.outside.sigmas
@@ -57,15 +66,16 @@ class Surroundings:
     @cached_property
     def brighter(self) -> float:
         """Root mean square of what is transformed, over the frame's, at least 1."""
-        return self.outside.brighter(self.period)
+        return 1.0 if self.tiling is not None else self.outside.brighter(self.period)
 
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
         reach = min(self.reaches)
         notes.bounds["border"] = self.bound
         if self.far is not None:
-            notes.models["optics.far"] = (f"the world without end beyond {self.reach} pixels outside the frame, by "
-                                          f"{len(self.far.sigmas)} Gaussians")
+            beyond = (f"{self.reach} pixels outside the frame" if self.tiling is None else
+                      f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}")
+            notes.models["optics.far"] = f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
             notes.models["optics.near"] = "transfer functions less those of the Gaussians"
             return
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
@@ -95,7 +105,13 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
             rows, cols = question.size
             raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
                              "samples", "what the transforms take: a smaller scene, reach or aperture")
-        return Surroundings(reach, reaches, period, folds, outside, level, far, question)
+        return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
+
+    def in_tiles(overlap):
+        found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
+        reach, period, field = found.overlap, (found.side, found.side), far_field(question, found.overlap, found.side)
+        return field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field, found,
+                                      question)
 
     if reach is not None:
         yield [around(reach)]
@@ -110,7 +126,8 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, reach * ratio) for reach in reaches]
         found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
-        yield first + [one for one in found if one.reach <= BORDER_REACH]
+        tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
+        yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
         yield from ([one] for one in found if one.reach > BORDER_REACH)
         return
     yield first
