@@ -24,8 +24,11 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
-TILE = 2.5e-5  # error by tiles
-TILES_RATIO, TILES_SPACINGS = 2.0, 1.6  # of Gaussians and splines beside tiles, which err by more
+# Of a frame by tiles that overlap by 8 samples, in q^2.5 times the root mean square of steps between neighbours over
+# the level; what obscuration squared adds; and in q of Gaussians and splines. Within a factor of 3 of most of 60 scenes
+TILES, TILES_HOLE, TILES_SPLINES = 2.5e-5, 8.0, 3e-6
+LESS = 1.2  # power of the overlap with which it falls
+TILES_RATIO, TILES_SPACINGS = 1.8, 1.6  # of Gaussians and splines, fewer than elsewhere
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
@@ -109,9 +112,10 @@ def tile_error(outside: Outside, question: Question, tiling: Tiling) -> float:
     """Relative root mean square error of a frame by tiles: each sees edges on its wrong side ring."""
     if not outside.level > 0:
         return 0.0
-    q, hole = question.mean_q, question.optics.pupil.obscuration
-    rings = TILE * q**2.5 * (8 / tiling.overlap) ** 1.2 * outside.steps
-    return sqrt(rings**2 + SPLINES**2) + outside.missing / outside.level
+    q, hole, nearer = question.mean_q, question.optics.pupil.obscuration, 8 / tiling.overlap
+    rings = TILES * q**2.5 * nearer**LESS * outside.steps * (1 + TILES_HOLE * hole**2)
+    rings /= 1 + min(question.ratio - 1, 1)  # what is finer than a pixel is smooth
+    return sqrt(rings**2 + (TILES_SPLINES * q * nearer) ** 2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

@@ -130,8 +130,8 @@ def test_no_plan_costs_more_than_the_exact_one_and_none_more_where_less_is_asked
 def _cost(plan):
     if plan.mix is None:
         return 0.0
-    asked = SimpleNamespace(content=plan.content, weights=plan.weights, size=plan.content.shape)
-    return cost_of(asked, plan.count, SimpleNamespace(period=plan.period, far=plan.far), plan.folded)
+    asked = SimpleNamespace(content=plan.content, weights=plan.weights, size=plan.content.shape, scene=plan.scene)
+    return cost_of(asked, plan.count, SimpleNamespace(period=plan.period, far=plan.far, tiling=plan.tiling), plan.folded)
 
 
 def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():

@@ -18,6 +18,7 @@ BAND = 2.5  # times what is predicted that it may be
 def seen(monkeypatch, scene, lens, reach, device="numpy"):
     """Mean electrons of a second, and the plan, where so many pixels of surroundings are blurred."""
     monkeypatch.setattr(model, "FAR_REACHES", (reach,))
+    monkeypatch.setattr(model, "OVERLAPS", ())
     simulator = gs.Simulator(lens, device=device, tolerance=1e-7 if device == "numpy" else 1e-6)
     exposure = simulator.expose(scene, 1.0)
     assert exposure.plan.far is not None and f"beyond {reach} pixels" in exposure.plan.models["optics.far"]

@@ -63,6 +63,13 @@ class Surroundings:
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
         return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
 
+    @property
+    def spare(self) -> int:
+        """Samples around the scene's own that can be blurred, too."""
+        if self.tiling is not None:
+            return int(self.far.sigmas[0] / self.far.spacings)
+        return min((length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True))
+
     @cached_property
     def brighter(self) -> float:
         """Root mean square of what is transformed, over the frame's, at least 1."""
@@ -126,7 +133,7 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, reach * ratio) for reach in reaches]
         found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
-        tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
+        tiled = [one for one in map(in_tiles, OVERLAPS if question.tiled else ()) if one is not None]
         yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
         yield from ([one] for one in found if one.reach > BORDER_REACH)
         return

@@ -1,6 +1,6 @@
 """Sampling: which of the scene's samples a pixel is made of, and what they leave out."""
 
-from math import ceil
+from math import ceil, inf
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.notes import Notes
@@ -17,10 +17,10 @@ from gpusim.planner.sampling import (
 )
 
 
-def taps_of(question: Question, period=None) -> tuple[tuple[Taps, Taps] | None, int]:
+def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:
     """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
 
-    period: lengths of the transforms, None: long enough. The blur knows what is beyond the scene's samples; a picture
+    most: spare samples on each side that the blur can give. The blur knows what is beyond the scene's samples; a picture
     without blur is constant over each of them. Raises OutOfRange.
     """
     ratio, is_blurred = question.ratio, question.is_blurred
@@ -28,9 +28,7 @@ def taps_of(question: Question, period=None) -> tuple[tuple[Taps, Taps] | None, 
         return None, 0
     spare = 0
     if is_blurred and not question.fft_free:
-        spare = SPARE + question.more
-        if period is not None:
-            spare = min(spare, *((n - m) // 2 for n, m in zip(period, question.size, strict=True)))
+        spare = int(min(SPARE + question.more, most))
     rows, cols = _blurred_axes(question, spare) if is_blurred else _plain_axes(question)
     return (rows, cols), spare
 
