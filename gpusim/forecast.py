@@ -85,5 +85,5 @@ def _varied(plan, option):
     """The plan as far as its cost goes, by another option."""
     count, channels = option.planes, len(plan.weights)
     table = None if count == len(plan.content.entry_spectra) and plan.content.labels is None else np.empty((count, 0))
-    return replace(plan, period=option.period, tiling=option.tiling, far=option.far, table=table, mix=np.empty((channels, count)),
-                   transfers=np.empty((channels, count, 0)))
+    return replace(plan, period=option.period, tiling=option.tiling, far=option.far, table=table,
+                   mix=np.empty((channels, count)), transfers=np.empty((channels, count, 0)))

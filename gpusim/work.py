@@ -58,7 +58,8 @@ def _blur(plan, planes, samples, channels):
         side, cfa = plan.tiling.side, plan.camera.sensor.cfa_indices.shape
         phases, size = (prod(cfa), [side // n for n in cfa]) if plan.folded else (channels, (side, side))
         one = planes * fft.operations((side, side)) + 4 * frequencies * planes * channels
-        return {"optics.tiles": plan.tiling.samples(plan.scene.samples) / side**2 * (one + phases * fft.operations(size))}
+        count = plan.tiling.samples(plan.scene.samples) / side**2
+        return {"optics.tiles": count * (one + phases * fft.operations(size))}
     if plan.folded:
         cfa = plan.camera.sensor.cfa_indices.shape
         back = prod(cfa) * fft.operations([length // n for length, n in zip(plan.period, cfa, strict=True)])

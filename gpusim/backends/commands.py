@@ -68,19 +68,21 @@ class Arriving(Transfer):
 
 
 class Copy:
-    """A copy between two arrays in turn with the kernels."""
-
-    args = ()
+    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
 
     def __init__(self, device, target, source, count, start, to):
-        self.device, self.target, self.source, size = device, target, source, source.dtype.itemsize
+        self.device, self.args, size = device, (target, source), source.dtype.itemsize
         self.stage, self.name = device._clock.charged or "copies", "copy"
         self.range = {"byte_count": count * size, "src_offset": start * size, "dst_offset": to * size}
 
+    def set(self, args):
+        """Other arrays of the same kinds."""
+        self.args = args
+
     def start(self):
-        device, clock = self.device, self.device._clock
+        device, clock, (target, source) = self.device, self.device._clock, self.args
         with device._lock:
-            event = device._cl.enqueue_copy(device.queue, self.target.buffer, self.source.buffer, **self.range)
+            event = device._cl.enqueue_copy(device.queue, target.buffer, source.buffer, **self.range)
             if clock.times is not None:
                 clock.events.append((self.stage, event))
-            device._keep((self.target, self.source))
+            device._keep(self.args)

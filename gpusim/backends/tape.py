@@ -208,7 +208,9 @@ class Taped(Device):
             self._copy(*what).start()
         else:
             places = self._place(target), self._place(source), count, start, to
-            tape.start(tape.again(("copy", *places), lambda: self._copy(*what)))
+            command = tape.again(("copy", *places), lambda: self._copy(*what))
+            command.set((target, source))
+            tape.start(command)
 
     @refusable(of_command)
     def start(self, command):

@@ -132,15 +132,18 @@ class _Transfer(Transfer):
 
 
 class _Copy:
-    """A copy between two arrays in turn with the kernels."""
+    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
 
-    args = ()
+    def __init__(self, device, target, source, *places):
+        self.device, self.args, self.places = device, (target, source), places
+        self.stage, self.name = device._clock.charged or "copies", "copy"
 
-    def __init__(self, device, *what):
-        self.device, self.what, self.stage, self.name = device, what, device._clock.charged or "copies", "copy"
+    def set(self, args):
+        """Other arrays of the same kinds."""
+        self.args = args
 
     def start(self):
-        target, source, count, start, to = self.what
+        (target, source), (count, start, to) = self.args, self.places
         self.device._timed(self.stage, lambda: self.device._wp.copy(target, source, to, start, count))
 
 

@@ -5,8 +5,8 @@ splines' places: a mirrored world has a mirrored grid. Samples come to it as d_i
 and go back as u(x) = sum over i of  c_i B((x - x_i) / D). In between is a filter c = g * d. With B's transfer function
 sinc^4 that makes a transfer function D sinc^8(D f) g(f) of it all, so a Gaussian G takes g = G / (D sinc^8).
 
-Grids are of two or three levels: narrow Gaussians are filtered on the first, wider ones on the next, four times coarser, whose
-splines are sums of those of the one before (B(x / 2) = sum of (1, 4, 6, 4, 1) / 8 B(x - m), twice).
+Grids are of two or three levels: narrow Gaussians are filtered on the first, wider ones on the next, four times
+coarser, whose splines are sums of those of the one before (B(x / 2) = sum of (1, 4, 6, 4, 1) / 8 B(x - m), twice).
 Source: Unser, Splines: a perfect fit for signal and image processing (1999); the filter is derived here.
 """
 

@@ -43,16 +43,20 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += plan.varying.bytes_of_tiles(len(plan.weights)) + 4 * samples * len(plan.weights)
     total += _sensor(plan) + _processor(plan)
     if looked_at_there(device, scene):
-        total += _looked_at(plan) * (1 if plan.watch is None else 2)  # for the plan, and by probes of later scenes
+        total += _looked_at(plan)
     return int(total)
 
 
 def _looked_at(plan):
-    """What the planner reads of a scene on a device, before the frame: its brightness, and windows or rows of it."""
+    """What the planner reads of a scene on a device, before the frame: its brightness, and windows and rows of it.
+
+    Probes of later scenes look at other windows.
+    """
     rows, cols = plan.content.shape
     windows = COUNT * SIDE**2 if plan.tolerance is not None else 0
     entries = sum(prod(getattr(plan.content, name).shape) for name in plan.content.samples) // (rows * cols)
-    return 4 * (rows * cols + entries * max(windows, 2 * cols * len(row_pairs(rows, cols))))
+    times = 1 if plan.watch is None else 2
+    return 4 * (rows * cols + entries * (times * windows + 2 * cols * len(row_pairs(rows, cols))))
 
 
 def bytes_of_item(plan: Plan, output: str) -> int:

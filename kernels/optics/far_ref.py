@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def far(onto, planes, weights, sigmas, cfa, border, margin=0, spacings=None):
+def far(onto, planes, weights, sigmas, cfa, border, margin=0, spacings=2.8):
     """See the contract."""
     onto, planes = np.array(onto, np.float64), np.asarray(planes, np.float64)
     light = 0.0

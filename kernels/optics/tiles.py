@@ -22,6 +22,7 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Case, stage
 from gpusim.optics.tiling import LANES, LONGEST, Tiling
 
+LANES_STAGE, GROUPS_STAGE = "optics.tiles_lanes", "optics.tiles_groups"  # the kernels of CPUs and of GPUs
 MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
@@ -37,9 +38,9 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
     planes: shape (planes, rows, cols). tables: quarters, shape (1 or channels, planes, side // 2 + 1, side // 2 + 1),
     entry (i, j) at the frequency (i, j) / side cycles per sample. mix: shape (channels, planes). cfa: channel of each
     pixel of one period of the mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect".
-    side: of a tile, up to LONGEST, a multiple of 8 times the mosaic's period, of factors 2 and 3 [sample]. overlap: of neighbours'
-    parts of the result on each side; side less twice this is a multiple of the mosaic's period. margin: samples of the
-    planes on each side that the result is without, or, below 0, that it has more.
+    side: of a tile, up to LONGEST, a multiple of 8 times the mosaic's period, of factors 2 and 3 [sample]. overlap: of
+    neighbours' parts of the result on each side; side less twice this is a multiple of the mosaic's period. margin:
+    samples of the planes on each side that the result is without, or, below 0, that it has more.
     Returns shape (rows - 2 margin, cols - 2 margin), or (channels, ...). Raises BadData for other sides and overlaps.
     Source: overlap-save (Oppenheim and Schafer, Discrete-Time Signal Processing, 8.7); its fold is `optics.mosaic`'s.
     """
@@ -59,7 +60,10 @@ def tiles(device, planes, tables, mix, cfa, border, side, overlap, margin=0):
     out = device.empty((images, *shape))
     outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()  # from a tile's corner
     count = tuple(-(-n // made.valid) for n in shape)
-    make = _by_lanes if device.on_host and device.kind == "opencl" else _by_batches if device.on_host else _by_groups
+    if device.on_host:
+        make = _by_lanes if device.kind == "opencl" else _by_batches
+    else:
+        make = _by_groups if _room(side, pattern.shape, len(outputs)) <= device.local_bytes else _by_batches
     make(device, planes, tables, mix, outputs, pattern.shape, border, side, overlap, margin,
          count, out)
     return device.reshape(out, shape) if cfa is not None else out
@@ -89,15 +93,15 @@ def _by_lanes(device, planes, tables, mix, outputs, period, border, side, overla
                "BACK_X": _passes(side // period[1], period[1], 1, "LOAD", "TO_B"),
                "BACK_Y": _passes(side // period[0], period[0], 1, "LOAD", "TO_B")}
     weights = device.empty((side // 2 + 1, side // LANES, even, channels, LANES))
-    device.launch("optics.tiles", "weights", (side, side // 2 + 1), tables, device.array(mix), weights,
+    device.launch(LANES_STAGE, "weights", (side, side // 2 + 1), tables, device.array(mix), weights,
                   int(tables.shape[0] > 1), number, defines=defines)
-    device.launch("optics.tiles", "tiles", (count[0] * count[1],), planes, weights, fft.roots(device, side),
+    device.launch(LANES_STAGE, "tiles", (count[0] * count[1],), planes, weights, fft.roots(device, side),
                   _turns(device, side, period[0]), out, margin, number, rows, cols, *out.shape[1:], count[1],
                   group=(1,), defines=defines)
 
 
 def _by_batches(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
-    """By transforms of many tiles at a time, as `common.fft` makes them on the host."""
+    """By transforms of many tiles at a time: on the host by SciPy, or where local memory holds no tile."""
     (channels, number), (_, rows, cols), (images, *shape) = mix.shape, planes.shape, out.shape
     small, valid, all_tiles = tuple(side // n for n in period), side - 2 * overlap, prod(count)
     of, mix = device.array(outputs, np.int32), device.array(mix)
@@ -106,15 +110,15 @@ def _by_batches(device, planes, tables, mix, outputs, period, border, side, over
         some = min(TILES, all_tiles - first)
         parts = device.empty((some * number, side, side))
         device.launch("optics.tiles", "cut", parts.shape, planes, parts, BORDERS[border], first, valid,
-                      overlap - margin, number, rows, cols, side, count[1])
+                      overlap - margin, some * number, number, rows, cols, side, count[1])
         spectra = fft.forward(device, parts)
         folded = device.empty((some * len(outputs), small[0], pitch, 2))
         device.launch("optics.tiles", "fold", (some, small[0], small[1] // 2 + 1), spectra, tables, mix,
-                      fft.roots(device, side), of, folded, int(tables.shape[0] > 1), number, channels, len(outputs),
-                      *period, side)
+                      fft.roots(device, side), of, folded, int(tables.shape[0] > 1), some, number, channels,
+                      len(outputs), *period, side, spectra.shape[2], pitch)
         pixels = fft.inverse(device, folded, small[1])
         device.launch("optics.tiles", "place", (some * images, valid, valid), pixels, out, first, valid, overlap,
-                      1 / prod(period), images, len(outputs), *shape, *period, count[1])
+                      1 / prod(period), some * images, images, len(outputs), *shape, *period, side, count[1])
 
 
 def _by_groups(device, planes, tables, mix, outputs, period, border, side, overlap, margin, count, out):
@@ -123,7 +127,7 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
     small, images = tuple(side // n for n in period), (len(outputs) + 1) // 2
     together = images if np.prod(period) > 1 else 1
     group = min(GROUP, device.group_limit)
-    room = 8 * max(side * (side + 1), together * small[0] * (small[1] + 1))
+    room = _room(side, period, len(outputs))
     defines = {"THREADS": group, "REGISTERS": REGISTERS, "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
                "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
                "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "BORDER": BORDERS[border],
@@ -131,10 +135,17 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
                "BACK_X": _tile_passes(small[1], together * small[0], period[1], 1, "BACK_ROW"),
                "BACK_Y": _tile_passes(small[0], together * small[1], period[0], 1, "BACK_COLUMN"),
                "TURNS_Y": fft.roots_text(period[0]), "TURNS_X": fft.roots_text(period[1])}
-    device.launch("optics.tiles_groups", "tiles", (count[0] * count[1] * group,), planes, tables,
+    device.launch(GROUPS_STAGE, "tiles", (count[0] * count[1] * group,), planes, tables,
                   fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side), out,
                   int(tables.shape[0] > 1), margin, number, rows, cols, *out.shape[1:], count[1], group=(group,),
                   defines=defines)
+
+
+def _room(side, period, outputs):
+    """Bytes of a tile in local memory: complex, and before that its outputs, two in one."""
+    small = [side // n for n in period]
+    together = (outputs + 1) // 2 if prod(period) > 1 else 1
+    return 8 * max(side * (side + 1), together * small[0] * (small[1] + 1))
 
 
 def _radices(length):
@@ -178,8 +189,9 @@ def cases():
     bayer, xtrans = np.array([[0, 1], [1, 2]]), np.arange(36).reshape(6, 6) % 3
     for rows, cols, count, cfa, own, border, side, overlap, margin in (
             (1, 1, 1, [[0]], 0, "zero", 64, 8, 0), (70, 101, 4, bayer, 1, "edge", 64, 8, 0),
-            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0), (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5),
-            (50, 90, 2, xtrans, 1, "edge", 48, 9, 0), (60, 75, 5, None, 1, "reflect", 64, 16, -2), (40, 61, 11, None, 1, "zero", 64, 12, 1),
+            (63, 65, 31, [[1, 0], [2, 1]], 0, "reflect", 64, 16, 0), (50, 90, 2, xtrans, 1, "edge", 48, 9, 0),
+            (110, 65, 3, [[1, 2], [0, 1]], 1, "zero", 64, 9, 5), (60, 75, 5, None, 1, "reflect", 64, 16, -2),
+            (40, 61, 11, None, 1, "zero", 64, 12, 1),
             (90, 130, 2, None, 0, "edge", 48, 12, 0), (70, 66, 9, np.arange(32).reshape(8, 4) % 3, 0, "zero", 64, 8, 3),
             (40, 31, 2, [[0, 1, 2]], 1, "edge", 24, 3, 0)):
         channels = (11 if count == 11 else 3) if cfa is None else int(np.max(cfa)) + 1

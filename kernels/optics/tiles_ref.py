@@ -7,19 +7,19 @@ MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 def tiles(planes, tables, mix, cfa, border, side, overlap, margin=0):
     """See the contract; every channel is made in full, and then sampled."""
-    count, rows, cols = planes.shape
+    _, rows, cols = planes.shape
     mix, valid = np.asarray(mix, np.float64), side - 2 * overlap
     shape = [n - 2 * margin for n in (rows, cols)]
     more = side + abs(margin)
     world = np.pad(np.asarray(planes, np.float64), [(0, 0), (more, more), (more, more)], mode=MODES[border])
     at = np.minimum(np.arange(side), side - np.arange(side))  # the quarter table at |frequency|
-    transfer = np.asarray(tables, np.float64)[:, :, at[:, None], at] * np.ones((len(mix), 1, 1, 1))
+    transfer = mix[..., None, None] * np.asarray(tables, np.float64)[:, :, at[:, None], at]
     channels = np.empty((len(mix), *shape))
     for y in range(0, shape[0], valid):
         for x in range(0, shape[1], valid):
             top, left = y + margin - overlap + more, x + margin - overlap + more
             tile = world[:, top : top + side, left : left + side]
-            spectrum = np.einsum("ck,ckyx,kyx->cyx", mix, transfer, np.fft.fft2(tile))
+            spectrum = (transfer * np.fft.fft2(tile)).sum(axis=1)
             blurred = np.fft.ifft2(spectrum).real[:, overlap : overlap + valid, overlap : overlap + valid]
             channels[:, y : y + valid, x : x + valid] = blurred[:, : shape[0] - y, : shape[1] - x]
     if cfa is None:

@@ -1,4 +1,4 @@
-"""Tiles on CPUs: cut out, transformed by `common.fft`, summed and folded, put together. CUDA devices run tiles_groups."""
+"""Tiles where local memory does not hold them: cut out, transformed by `common.fft`, folded, put together."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -25,6 +25,7 @@ def cut(
     valid: int,
     before: int,
     # sizes:
+    all_parts: int,
     count: int,
     rows: int,
     cols: int,
@@ -51,12 +52,15 @@ def fold(
     # params:
     own_tables: int,
     # sizes:
+    tiles: int,
     count: int,
     channels: int,
     outputs: int,
     phases_y: int,
     phases_x: int,
     side: int,
+    pitch: int,
+    out_pitch: int,
 ):
     tile, y, x = wp.tid()
     rows = side // phases_y
@@ -91,7 +95,8 @@ def fold(
                             dx = o % phases_x
                         v = fy * dy % side
                         u = fx * dx % side
-                        value = times(total, times(wp.vec2(roots[v, 0], roots[v, 1]), wp.vec2(roots[u, 0], roots[u, 1])))
+                        turn = times(wp.vec2(roots[v, 0], roots[v, 1]), wp.vec2(roots[u, 0], roots[u, 1]))
+                        value = times(total, turn)
                         folded[tile * outputs + o, y, x, 0] = folded[tile * outputs + o, y, x, 0] + value[0]
                         folded[tile * outputs + o, y, x, 1] = folded[tile * outputs + o, y, x, 1] + value[1]
 
@@ -108,12 +113,14 @@ def place(
     overlap: int,
     scale: float,
     # sizes:
+    parts: int,
     images: int,
     outputs: int,
     out_rows: int,
     out_cols: int,
     phases_y: int,
     phases_x: int,
+    side: int,
     across: int,
 ):
     part, v, u = wp.tid()
@@ -125,6 +132,6 @@ def place(
         fy = v + overlap
         fx = u + overlap
         o = image
-        if images == 1:
+        if images == 1 and phases_y * phases_x > 1:
             o = fy % phases_y * phases_x + fx % phases_x
         out[image, y, x] = scale * pixels[part // images * outputs + o, fy // phases_y, fx // phases_x]

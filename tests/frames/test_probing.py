@@ -37,7 +37,7 @@ def even(name="even"):
 def local(name="local"):
     """Whole contrast in a small part of the frame alone, about as much in the mean square."""
     inside = np.zeros(SIZE[::-1], bool)
-    inside[30:54, 40:70] = True
+    inside[30:52, 40:68] = True
     return scene_of(np.where(inside, SPECTRA, MEAN), name)
 
 

@@ -198,7 +198,8 @@ def test_simulate_writes_every_format(tmp_path, capsys):
         assert pattern == "RGGB"
     assert stored["electrons"].shape == (65, 97) and stored["electrons"].dtype == np.float32
     facts = json.loads(report.read_text())
-    assert {stage["stage"] for stage in facts["stages"]} >= {"optics.mosaic", "sensor.noise", "display.encode"}
+    stages = {stage["stage"] for stage in facts["stages"]}
+    assert stages >= {"sensor.noise", "display.encode"} and stages & {"optics.mosaic", "optics.tiles"}
     assert all(stage["ms"] > 0 for stage in facts["stages"])
     assert facts["error"]["p999_sigma"] <= 0.1 and facts["meets_tolerance"] is True  # the preset "video"
     assert 0.4 <= facts["prediction_ratio"] <= 2.5

@@ -131,7 +131,8 @@ def _cost(plan):
     if plan.mix is None:
         return 0.0
     asked = SimpleNamespace(content=plan.content, weights=plan.weights, size=plan.content.shape, scene=plan.scene)
-    return cost_of(asked, plan.count, SimpleNamespace(period=plan.period, far=plan.far, tiling=plan.tiling), plan.folded)
+    around = SimpleNamespace(period=plan.period, far=plan.far, tiling=plan.tiling)
+    return cost_of(asked, plan.count, around, plan.folded)
 
 
 def test_a_flat_scene_is_not_blurred_and_an_exact_one_is():

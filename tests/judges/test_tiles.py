@@ -33,7 +33,8 @@ def judged(monkeypatch, q, overlap, border, kind, hole=0.0, name="phone"):
     """True and predicted error of a frame."""
     random, margin = np.random.default_rng(int(10 * q)), 7 if border == "scene" else 0
     scene = scene_of(images(kind, (81 + 2 * margin, 106 + 2 * margin), random), border, margin)
-    mean, plan = seen(monkeypatch, scene, camera(q, {"pupil": Pupil(obscuration=hole)} if hole else None, name), overlap)
+    lens = camera(q, {"pupil": Pupil(obscuration=hole)} if hole else None, name)
+    mean, plan = seen(monkeypatch, scene, lens, overlap)
     own = truth(scene, plan, hole=hole)
     error, predicted = relative(mean - own, own), plan.account.bounds["border"].rms
     print(f"q {q}, overlap {overlap}, {border}, {kind}, hole {hole}: {error:.1e}, predicted {predicted:.1e}")
@@ -81,7 +82,8 @@ def test_lights_far_brighter_than_the_rest_stay_in_their_tile():
     plane[100, 100] = 1e9
     f = np.arange(33) / 64
     table = np.exp(-2 * (np.pi * 0.7) ** 2 * (f[:, None] ** 2 + f**2)).astype(np.float32)
-    given = {"tables": table[None, None], "mix": np.ones((1, 1)), "cfa": None, "border": "edge", "side": 64, "overlap": 8}
+    given = {"tables": table[None, None], "mix": np.ones((1, 1)), "cfa": None, "border": "edge", "side": 64,
+             "overlap": 8}
     found = tiles(plane[None], **given, device="opencl:pocl")[0]
     true = tiles(plane[None], **given, device="numpy")[0]
     wrong = np.abs(found - true) > 1e-5

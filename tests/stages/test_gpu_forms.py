@@ -38,6 +38,15 @@ def test_stages_with_a_form_for_gpus_are_found():
             "processor.defects", "processor.malvar", "processor.thumbnail", "processor.learned"} <= {*STAGES}
 
 
+@pytest.mark.slow
+def test_tiles_are_transformed_in_batches_where_no_local_memory_holds_one(device, monkeypatch):
+    contract = stage_module("optics.tiles")
+    monkeypatch.setattr(contract, "_room", lambda *_: device.local_bytes + 1)
+    for case in contract.cases():
+        found = contract.tiles(**case.inputs, device=device)
+        assert case.error(found, contract.tiles(**case.inputs, device="numpy")) <= case.tolerance, case.name
+
+
 @pytest.mark.parametrize("stage, first", CASES)
 def test_the_form_for_gpus_agrees_with_the_reference(stage, first, device):
     """Within the cases' own tolerances, which hold for either form."""

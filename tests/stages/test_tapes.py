@@ -98,6 +98,27 @@ def test_replayed_it_takes_the_contents_that_are_there(device):
     assert (values(device, result) != before).any()
 
 
+def test_copies_read_what_takes_an_arrays_place(device):
+    """A kernel and a copy that read the same array: given another, both read that; made again, each its own."""
+    tape, table, first, second = Tape(), RANDOM.random((3, 5), np.float32), cube(device), cube(device)
+
+    def made(content):
+        with noted(tape):
+            return device.stack([device.part(integrate(content, device.array(table), device=device), 1),
+                                 device.part(content, 2)])
+
+    for _ in range(2):
+        found = made(first)
+    assert tape.replaced([(first, second)])
+    tape.replay()
+    expected = values(device, device.stack([device.part(integrate(second, device.array(table), device=device), 1),
+                                            device.part(second, 2)]))
+    np.testing.assert_array_equal(values(device, found), expected)
+    again = values(device, made(first))
+    np.testing.assert_array_equal(again[1], values(device, first)[2])
+    assert (again != expected).any()
+
+
 def overwrite(device, target, source):
     """Copy an array's values to another, by the verbs that devices have."""
     size = int(np.prod(target.shape))

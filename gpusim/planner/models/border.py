@@ -66,7 +66,7 @@ class Surroundings:
     @property
     def spare(self) -> int:
         """Samples around the scene's own that can be blurred, too."""
-        if self.tiling is not None:
+        if self.tiling is not None and self.far is not None:
             return int(self.far.sigmas[0] / self.far.spacings)
         return min((length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True))
 

@@ -20,8 +20,8 @@ from gpusim.planner.sampling import (
 def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | None, int]:
     """Taps of the rows and the columns of pixels, None where each pixel is one sample; the spare samples they use.
 
-    most: spare samples on each side that the blur can give. The blur knows what is beyond the scene's samples; a picture
-    without blur is constant over each of them. Raises OutOfRange.
+    most: spare samples on each side that the blur can give. The blur knows what is beyond the scene's samples; a
+    picture without blur is constant over each of them. Raises OutOfRange.
     """
     ratio, is_blurred = question.ratio, question.is_blurred
     if ratio == 1 and (is_blurred or not question.more):
