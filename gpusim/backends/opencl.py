@@ -20,7 +20,8 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 
 PAGE = 4096
-REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY")  # of memory, by drivers
+# Of memory, by drivers; a buffer's size is called invalid where it is more than one buffer may have
+REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
 CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
 
 

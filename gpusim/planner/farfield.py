@@ -26,7 +26,7 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 SEAM, SIDE = 3.1e-4, 112
 # Of a frame by tiles that overlap by 8 samples, in q^2.5 times the root mean square of steps between neighbours over
 # the level; what obscuration squared adds; and in q of Gaussians and splines. Within a factor of 3 of most of 60 scenes
-TILES, TILES_HOLE, TILES_SPLINES = 2.5e-5, 8.0, 3e-6
+TILES, TILES_HOLE, TILES_SPLINES = 2.5e-5, 22.0, 2e-6
 LESS = 1.2  # power of the overlap with which it falls
 TILES_RATIO, TILES_SPACINGS = 1.8, 1.6  # of Gaussians and splines, fewer than elsewhere
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
@@ -99,23 +99,22 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
         return 0.0
     reach = min(length - n for length, n in zip(period, outside.image.shape, strict=True)) / 2
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
-    seam = SEAM * q**2.5 / away**2 * _step(outside, period)
     hole = question.optics.pupil.obscuration  # what lies between its rims rings at frequencies lower by half that
-    seam *= _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
-    seam /= sqrt(cell[0] * cell[1])
-    seam *= 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
+    finer = 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
+    waves = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
+    seam = SEAM * q**2.5 / away**2 * _step(outside, period) * waves / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
 
 
-def tile_error(outside: Outside, question: Question, tiling: Tiling) -> float:
-    """Relative root mean square error of a frame by tiles: each sees edges on its wrong side ring."""
+def tile_error(outside: Outside, question: Question, tiling: Tiling) -> tuple[float, float]:
+    """Relative root mean square errors of a frame by tiles: of edges that ring on their wrong side, and even ones."""
     if not outside.level > 0:
-        return 0.0
+        return 0.0, 0.0
     q, hole, nearer = question.mean_q, question.optics.pupil.obscuration, 8 / tiling.overlap
-    rings = TILES * q**2.5 * nearer**LESS * outside.steps * (1 + TILES_HOLE * hole**2)
-    rings /= 1 + min(question.ratio - 1, 1)  # what is finer than a pixel is smooth
-    return sqrt(rings**2 + (TILES_SPLINES * q * nearer) ** 2 + SPLINES**2) + outside.missing / outside.level
+    finer = 1 / (1 + min(question.ratio - 1, 1))  # what is finer than a pixel is smooth, but for a hole's slow waves
+    rings = TILES * q**2.5 * nearer**LESS * outside.steps * (finer + TILES_HOLE * hole**2)
+    return rings, sqrt((TILES_SPLINES * q * nearer) ** 2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

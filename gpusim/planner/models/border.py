@@ -23,7 +23,7 @@ from gpusim.planner.question import Question
 
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
-EDGY = 4.0, 8.0  # 99.9 % quantile and maximum of waves beside edges, likewise
+EDGY = 2.8, 5.0  # 99.9 % quantile and maximum of waves beside edges, likewise
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
@@ -53,9 +53,12 @@ class Surroundings:
     def bound(self) -> Bound:
         """Error of what is not seen, or seen on the wrong side."""
         if self.tiling is not None:
-            rms = tile_error(self.outside, self.question, self.tiling)
-            sigma = np.sqrt(self.level) * rms / self.outside.sigmas
-            return Bound(rms, EDGY[0] * float(np.quantile(sigma, 0.999)), EDGY[1] * float(sigma.max()))
+            rings, even = tile_error(self.outside, self.question, self.tiling)
+            sigma = np.sqrt(self.level) / self.outside.sigmas
+            most, largest = (sqrt((edgy * rings) ** 2 + (everywhere * even) ** 2)
+                             for edgy, everywhere in zip(EDGY, EVEN, strict=True))
+            return Bound(sqrt(rings**2 + even**2), most * float(np.quantile(sigma, 0.999)),
+                         largest * float(sigma.max()))
         if self.far is not None:
             rms = seam_error(self.outside, self.question, self.period)
             sigma = np.sqrt(self.level) * rms / self.outside.sigmas
