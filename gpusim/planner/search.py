@@ -51,7 +51,8 @@ class Option:
 def cost_of(question: Question, count: int, around: Surroundings, folded: bool) -> float:
     """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
 
-    count: planes that are transformed. It does not depend on a device, so that plans are the same on all.
+    count: planes that are transformed. It depends on no device's speed, so that plans are the same on all CPUs and on
+    all GPUs, for which there are no tiles (`Question.tiled`).
     """
     content, channels = question.content, len(question.weights)
     samples, area = prod(content.shape), float(prod(around.period))
