@@ -15,6 +15,7 @@ the point: a blur of so much of the surroundings, and Gaussians over a world wit
 from math import gamma, log, pi
 
 import numpy as np
+from numpy.polynomial.polynomial import polyvander
 
 from gpusim.domain.optics import Optics
 from gpusim.optics.lens import tail_of
@@ -72,9 +73,7 @@ def tail(optics: Optics, q, waves, aperture) -> np.ndarray:
     """
     q, rims = np.asarray(q, np.float64), _rims(optics)
     cusp = tail_of(optics) * q
-    squares = np.array([[np.mean(_ray(wave, one, radius) ** power) for power in (2, 4)]
-                        for wave, one in zip(waves, q, strict=True) for radius, _ in rims])
-    squares = np.tensordot(squares.reshape(len(q), len(rims), 2), [share for _, share in rims], (1, 0))
+    squares = np.tensordot([_squares(waves, q, radius) for radius, _ in rims], [share for _, share in rims], (0, 0))
     spread = 9 / 4 * sum(aperture)
     third = 9 / (16 * pi**4) * _third(optics) * q**3
     return np.stack([cusp, cusp * (3 * squares[:, 0] + spread) + third, 5 * cusp * squares[:, 1]], axis=1)
@@ -102,10 +101,12 @@ def _third(optics):
     return 2 / (3 * pi) * ((1 + 1 / inner) / (1 - inner**2) if inner else 1.0)
 
 
-def _ray(wave, q, radius):
-    """How far from the image the rays through a rim land [sample]."""
+def _squares(waves, q, radius):
+    """Means of b^2 and b^4, b how far from the image the rays through a rim land [sample], shape (L, 2)."""
     angle = np.linspace(0, 2 * pi, 64, endpoint=False)
-    place = radius * np.cos(angle), radius * np.sin(angle)
-    slopes = [np.polynomial.polynomial.polyval2d(*place, np.polynomial.polynomial.polyder(wave, axis=axis))
-              for axis in (0, 1)]
-    return 2 * q * np.hypot(*slopes)
+    x, y = (polyvander(radius * at, waves.shape[1] - 1) for at in (np.cos(angle), np.sin(angle)))
+    by = np.arange(1, waves.shape[1])
+    along = np.einsum("lij,ai,aj->la", waves[:, 1:] * by[:, None], x[:, :-1], y, optimize=True)
+    across = np.einsum("lij,ai,aj->la", waves[:, :, 1:] * by, x, y[:, :-1], optimize=True)
+    square = (2 * q[:, None]) ** 2 * (along**2 + across**2)
+    return np.stack([square.mean(axis=1), (square**2).mean(axis=1)], axis=1)

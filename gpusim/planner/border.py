@@ -182,15 +182,6 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     @cached_property
-    def steps(self) -> float:
-        """Root mean square of steps between neighbours, down and across, over the level; into the dark, too."""
-        found: float = sum(np.mean(np.diff(self.image, axis=axis) ** 2, dtype=np.float64) for axis in (0, 1))
-        if self.border == "zero":
-            found += sum(2 * np.mean(lines[[0, -1]] ** 2, dtype=np.float64) / len(lines)
-                         for lines in (self.image, self.image.T))
-        return sqrt(found) / self.level
-
-    @cached_property
     def _squares(self):
         return np.square(self.image, dtype=np.float64)
 

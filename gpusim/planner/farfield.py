@@ -13,7 +13,6 @@ import numpy as np
 
 from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
 from gpusim.optics.splines import SPACINGS
-from gpusim.optics.tiling import Tiling
 from gpusim.planner.border import Outside, border_indices, rule_of
 from gpusim.planner.question import Question
 
@@ -24,10 +23,7 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
-# Of a frame by tiles that overlap by 8 samples, in q^2.5 times the root mean square of steps between neighbours over
-# the level; what obscuration squared adds; and in q of Gaussians and splines. Within a factor of 3 of most of 60 scenes
-TILES, TILES_HOLE, TILES_SPLINES = 2.5e-5, 22.0, 2e-6
-LESS = 1.2  # power of the overlap with which it falls
+TILES_SPLINES = 2.5e-6  # relative RMS in q of the splines beside tiles: within a factor of 2.5 of most of 30 scenes
 TILES_RATIO, TILES_SPACINGS = 1.8, 1.6  # of Gaussians and splines, fewer than elsewhere
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
@@ -76,12 +72,19 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
             and not any(question.moved) and min(question.size) >= LEAST_SIDE)
 
 
-def far_field(question: Question, reach: float, side: int | None = None) -> FarField | None:
+def tails_of(question: Question) -> np.ndarray:
+    """Tails of the wavelengths, see `FarField`."""
+    optics = question.optics
+    return tail(optics, question.q, optics.waves(question.scene.wavelengths),
+                variance(optics, question.pitch, question.cell))
+
+
+def far_field(question: Question, tails, reach: float, side: int | None = None) -> FarField | None:
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
 
-    side: of tiles that see so much around them, None: the frame is one transform [sample].
+    tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
     """
-    q, optics = question.q, question.optics
+    optics = question.optics
     rings = RINGS * question.mean_q
     if optics.pupil.obscuration:
         rings *= 2 / (1 - optics.pupil.obscuration)
@@ -89,7 +92,6 @@ def far_field(question: Question, reach: float, side: int | None = None) -> FarF
         return None
     ratio, spacings = (RATIO, SPACINGS) if side is None else (TILES_RATIO, TILES_SPACINGS)
     sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, ratio)
-    tails = tail(optics, q, optics.waves(question.scene.wavelengths), variance(optics, question.pitch, question.cell))
     return FarField(sigmas, tails, rule_of(question.scene.border), spacings)
 
 
@@ -107,14 +109,11 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
 
 
-def tile_error(outside: Outside, question: Question, tiling: Tiling) -> tuple[float, float]:
-    """Relative root mean square errors of a frame by tiles: of edges that ring on their wrong side, and even ones."""
+def spline_error(outside: Outside, question: Question) -> float:
+    """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
     if not outside.level > 0:
-        return 0.0, 0.0
-    q, hole, nearer = question.mean_q, question.optics.pupil.obscuration, 8 / tiling.overlap
-    finer = 1 / (1 + min(question.ratio - 1, 1))  # what is finer than a pixel is smooth, but for a hole's slow waves
-    rings = TILES * q**2.5 * nearer**LESS * outside.steps * (finer + TILES_HOLE * hole**2)
-    return rings, sqrt((TILES_SPLINES * q * nearer) ** 2 + SPLINES**2) + outside.missing / outside.level
+        return 0.0
+    return sqrt((TILES_SPLINES * question.mean_q) ** 2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

@@ -1,9 +1,7 @@
 """Probes: small windows of a scene in which the error of a plan is computed exactly, pixel by pixel, before any frame.
 
 A plan leaves out part of what the lens does to the spectra. In a window that error is known: transfer functions times
-the window's own spectra. Windows are drawn with a probability that grows with the energy of the picture's edges, since
-errors of a blur are at edges, and weighted by its inverse (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952).
-A transform repeats a window; its rim, where that is seen, does not count.
+the window's own spectra. A transform repeats a window; its rim, where that is seen, does not count.
 """
 
 from dataclasses import dataclass
@@ -16,85 +14,11 @@ from gpusim.domain.account import Bound
 from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
 from gpusim.planner.fusion import SAMPLED_PERIOD
+from gpusim.planner.windows import Windows, quantile
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
 INNER = SIDE - 2 * RIM
 COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
-MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
-EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Which parts of a picture are probed.
-
-    rows, cols: places of each one's samples, int (n, SIDE), which may lie outside the picture. weight: of the frame's
-    samples that each stands for, sums to 1, (n,). steepest: largest step between neighbours anywhere over the largest
-    in any window's inner part, at least 1.
-    """
-
-    rows: np.ndarray
-    cols: np.ndarray
-    weight: np.ndarray
-    steepest: float
-
-    @classmethod
-    def of(cls, brightness, margin: int, border: str, count: int) -> "Windows":
-        """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols)."""
-        starts, (energy, largest) = _edges(brightness, margin, border)
-        chance = np.full(len(energy), 1 / len(energy))
-        if energy.sum() > 0:
-            chance = EDGES * energy / energy.sum() + (1 - EDGES) * chance
-        drawn, times = _drawn(chance, count)
-        weight = times / chance[drawn]
-        places = [(y, x) for y in starts[0] for x in starts[1]]
-        first = np.array([places[k] for k in drawn]) + margin - RIM
-        seen = largest[drawn].max()
-        return cls(first[:, :1] + np.arange(SIDE), first[:, 1:] + np.arange(SIDE), weight / weight.sum(),
-                   float(largest.max() / seen) if seen > 0 else 1.0)
-
-
-def _edges(brightness, margin, border):
-    """First samples of windows' inner parts along both axes; mean square and largest step to neighbours in each one.
-
-    By some of their rows; both are in one line, row by row. A dark world around the frame is a step, too.
-    """
-    rows, cols = (n - 2 * margin for n in brightness.shape)
-    starts = [_starts(n) for n in (rows, cols)]
-    stride, found = max(1, round(brightness.size / MOST_STEPS)), []
-    ends = np.stack([starts[1], np.minimum(starts[1] + INNER, cols)], axis=1)
-    for y in starts[0]:
-        at = margin + np.arange(y, min(y + INNER, rows), stride)
-        line, below = brightness[at], brightness[np.minimum(at + 1, len(brightness) - 1)]
-        step = np.abs(below - line)
-        across = np.abs(np.diff(line, axis=1))
-        np.maximum(step[:, :-1], across, out=step[:, :-1])
-        np.maximum(step[:, 1:], across, out=step[:, 1:])
-        step = step[:, margin : margin + cols]
-        if border == "zero":
-            step[:, 0], step[:, -1] = np.maximum(step[:, 0], line[:, 0]), np.maximum(step[:, -1], line[:, -1])
-            for edge, row in ((0, 0), (rows - 1, -1)):
-                if y <= edge < y + INNER:
-                    step[row] = np.maximum(step[row], brightness[edge])
-        lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
-        # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
-        found.append([by.reduceat(np.append(line, 0), ends.ravel())[::2]
-                      for by, line in zip((np.add, np.maximum), lines, strict=True)])
-    energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
-    return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
-
-
-def _starts(n):
-    """First samples of windows' inner parts that cover an axis."""
-    return np.unique(np.minimum(np.arange(0, max(n, 1), INNER), max(n - INNER, 0)))
-
-
-def _drawn(chance, count):
-    """Which are drawn and how often, one after each `count`-th part of all chances; each one where they are few."""
-    if len(chance) <= count:
-        return np.arange(len(chance)), count * chance
-    places = (np.arange(count) + 0.5) / count
-    return np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), places), return_counts=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +85,7 @@ class Probes:
         weight = self.windows.weight[:, None] * self.share
         rms = np.sqrt((weight * _mean_squares(error)).sum()) / self._size
         sigma = error * (self.seconds / self._sigma)
-        return Bound(float(rms), _quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
+        return Bound(float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
 
     @cached_property
     def _sigma(self):
@@ -244,21 +168,3 @@ def _mixed(weights, spectra):
 def _mean_squares(values):
     """Over the last two axes, in the type of the values."""
     return np.einsum("...yx,...yx->...", values, values) / INNER**2
-
-
-def _quantile(values, weight, part):
-    """Quantile of values (n, C, rows, cols) whose weights are (n, C), part >= 1 - 1 / cols.
-
-    The largest of each row tell a value that is low enough to be below it.
-    """
-    above = (1 - part) * weight.sum() * values[0, 0].size
-    least = _reached(values.max(axis=-1), weight[..., None], above)
-    some = values >= least
-    return float(_reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above))
-
-
-def _reached(values, weight, above):
-    """The value down to which, from the largest on, the weights add up to `above`."""
-    weight = np.broadcast_to(weight, values.shape).ravel()
-    order = np.argsort(values, axis=None)[::-1]
-    return values.ravel()[order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]]

@@ -18,8 +18,9 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models.noise import without_negligible
 from gpusim.planner.plan import plan
-from gpusim.planner.probes import INNER, RIM, Windows
+from gpusim.planner.probes import INNER, RIM, SIDE
 from gpusim.planner.search import HEADROOM, WIDER, cost_of
+from gpusim.planner.windows import Windows
 
 
 def test_errors_add_in_the_mean_square_and_at_worst_at_one_pixel():
@@ -59,7 +60,7 @@ def test_windows_stand_for_the_frame(shape, border, margin):
     random = np.random.default_rng(3)
     light = random.random([n + 2 * margin for n in shape], np.float32)
     for count in (1, 5, 12, 10**6):
-        windows = Windows.of(light, margin, border, count)
+        windows = Windows.of(light, margin, border, count, SIDE, RIM)
         assert windows.weight.sum() == pytest.approx(1) and windows.steepest >= 1
         assert len(windows.rows) <= count
         seen = np.zeros(light.shape, bool)
@@ -80,7 +81,7 @@ def test_the_means_of_windows_are_those_of_the_frame():
         y, x = random.integers(0, 200, 2)
         light[y : y + 150, x : x + 250] += random.random((150, 250), np.float32)
         squares = np.square(light - 1)
-        windows = Windows.of(light, 0, "edge", 12)
+        windows = Windows.of(light, 0, "edge", 12, SIDE, RIM)
         found = sum(weight * squares[np.ix_(np.clip(rows[RIM:-RIM], 0, 399), np.clip(cols[RIM:-RIM], 0, 599))].mean()
                     for rows, cols, weight in zip(windows.rows, windows.cols, windows.weight, strict=True))
         ratios.append(found / squares.mean())

@@ -13,7 +13,8 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.planner import probes
 from gpusim.planner.facts import Facts, OnHost
 from gpusim.planner.plan import plan
-from gpusim.planner.probes import INNER, RIM, SIDE, Probes, Windows
+from gpusim.planner.probes import INNER, RIM, SIDE, Probes
+from gpusim.planner.windows import Windows
 
 WAVELENGTHS = np.linspace(400, 700, 31)
 RANDOM = np.random.default_rng(3)
@@ -83,7 +84,7 @@ def test_entries_are_probed_as_their_spectra_are():
     basis = FORMS["basis"][0]
     cube = Cube(WAVELENGTHS, basis.bands_at(slice(None)).astype(np.float32))
     for border in ("edge", "zero"):
-        windows = Windows.of(basis.brightness(np.ones(31)), 0, border, 6)
+        windows = Windows.of(basis.brightness(np.ones(31)), 0, border, 6, SIDE, RIM)
         own, its = (Probes.of(Facts(content), windows, border, tables=None, weights=None, even=None, share=None,
                               level=1.0, seconds=1.0, noise=1.0) for content in (basis, cube))
         np.testing.assert_allclose(own.means, its.means, rtol=1e-6)

@@ -8,22 +8,22 @@ from math import ceil, sqrt
 import numpy as np
 from scipy.special import j0, j1
 
-from gpusim.domain.account import Bound
+from gpusim.domain.account import Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
 from gpusim.optics.lens import tail_of
 from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
-from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error, tile_error
+from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error, spline_error, tails_of
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
+from gpusim.planner.rings import ring_errors
 
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
-EDGY = 2.8, 5.0  # 99.9 % quantile and maximum of waves beside edges, likewise
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
@@ -52,19 +52,21 @@ class Surroundings:
     @cached_property
     def bound(self) -> Bound:
         """Error of what is not seen, or seen on the wrong side."""
-        if self.tiling is not None:
-            rings, even = tile_error(self.outside, self.question, self.tiling)
-            sigma = np.sqrt(self.level) / self.outside.sigmas
-            most, largest = (sqrt((edgy * rings) ** 2 + (everywhere * even) ** 2)
-                             for edgy, everywhere in zip(EDGY, EVEN, strict=True))
-            return Bound(sqrt(rings**2 + even**2), most * float(np.quantile(sigma, 0.999)),
-                         largest * float(sigma.max()))
+        if self.tiling is not None and self.far is not None:
+            rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
+            rms = spline_error(self.outside, self.question)
+            return total([Bound(rings.rms, rings.p999_sigma * sqrt(self.level), rings.max_sigma * sqrt(self.level)),
+                          self._even(rms)])
         if self.far is not None:
             rms = seam_error(self.outside, self.question, self.period)
-            sigma = np.sqrt(self.level) * rms / self.outside.sigmas
-            return Bound(rms, EVEN[0] * float(np.quantile(sigma, 0.999)), EVEN[1] * float(sigma.max()))
+            return self._even(rms)
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
         return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
+
+    def _even(self, rms):
+        """An error that is everywhere alike."""
+        sigma = np.sqrt(self.level) * rms / self.outside.sigmas
+        return Bound(rms, EVEN[0] * float(np.quantile(sigma, 0.999)), EVEN[1] * float(sigma.max()))
 
     @property
     def spare(self) -> int:
@@ -119,7 +121,8 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
 
     def in_tiles(overlap):
         found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
-        reach, period, field = found.overlap, (found.side, found.side), far_field(question, found.overlap, found.side)
+        reach, period = found.overlap, (found.side, found.side)
+        field = far_field(question, tails, found.overlap, found.side)
         return field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field, found,
                                       question)
 
@@ -133,8 +136,9 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         yield first
         return
     if has_far_field(question, depth is not None):
+        tails = tails_of(question)
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
-        fields = [far_field(question, reach * ratio) for reach in reaches]
+        fields = [far_field(question, tails, reach * ratio) for reach in reaches]
         found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
         tiled = [one for one in map(in_tiles, OVERLAPS if question.tiled else ()) if one is not None]
         yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]

@@ -16,10 +16,11 @@ from gpusim.planner.models.highlights import Picture
 from gpusim.planner.models.sampling import taps_of
 from gpusim.planner.notes import Notes
 from gpusim.planner.operation import Operation
-from gpusim.planner.probes import COUNT, LEAST_WINDOWS, SIDE, Probes, Windows
+from gpusim.planner.probes import COUNT, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
+from gpusim.planner.windows import Windows
 
 PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
 ENOUGH = 0.25  # of a tolerance: where fused planes err less, more of them would not help the sum
@@ -167,7 +168,7 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
         if tables.shape[1] < SIDE:
             tables = tables[:, np.minimum(np.arange(SIDE), SIDE - np.arange(SIDE))]
     count = max(LEAST_WINDOWS, COUNT * 31 // max(len(flat), 31))
-    windows = Windows.of(picture.brightness, scene.margin, scene.border, count)
+    windows = Windows.of(picture.brightness, scene.margin, scene.border, count, SIDE, RIM)
     tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
     return Probes.of(question.facts, windows, scene.border, tables=tables,
                      weights=question.weights, even=question.weights / flat, share=question.share,

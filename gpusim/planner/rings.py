@@ -1,0 +1,117 @@
+"""Rings of a lens beyond the tiles that blur a frame: what these add on their wrong side, computed in some of them.
+
+A transform repeats a tile: light that is `overlap` samples or more from a pixel of its result is seen where the tile
+repeats itself, not where it is. A lens with rims rho in its pupil, where its wavefront is W waves, spreads so far,
+beside its tail, the waves of
+
+    2 q / (pi^3 r^3 (1 - e^2)) | sum of a cos(pi rho r / q - 3 pi / 4) exp(2 pi i W) |^2,
+
+a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an annulus's by the
+asymptotic form of J1). What the tail has more than the Gaussians that stand for it is seen there, too. Windows of the
+picture twice as wide as a tile, blurred by both, tell what that adds.
+"""
+
+from itertools import combinations
+from math import pi, sqrt
+
+import numpy as np
+import scipy
+from numpy.polynomial.polynomial import polyval2d
+
+from gpusim.optics.ladder import POWERS, energies
+from gpusim.optics.tiling import Tiling
+from gpusim.planner.border import Outside, border_indices, rule_of
+from gpusim.planner.farfield import FarField
+from gpusim.planner.question import Question
+from gpusim.planner.windows import Windows, quantile
+
+COUNT = 12  # windows
+
+
+def ring_errors(outside: Outside, question: Question, tiling: Tiling, far: FarField) -> tuple[float, float, float]:
+    """Relative root mean square error of a frame by such tiles; its 99.9 % quantile and maximum in noise.
+
+    far: what tiles leave to Gaussians. The last two figures are as `Outside.error` gives them.
+    """
+    if not outside.level > 0:
+        return 0.0, 0.0, 0.0
+    side, valid = tiling.side, tiling.valid
+    rim = (2 * side - valid) // 2
+    windows = Windows.of(outside.image, outside.margin, outside.border, COUNT, side=2 * side, rim=rim, beside=1)
+    light, table = _world(outside, windows), _beyond(question, tiling, far)
+    within = slice(side // 2, side // 2 + side)
+    error = np.abs(_middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid))
+    error /= outside.level
+    local = scipy.ndimage.uniform_filter(light, (0, 2 * outside.around + 1, 2 * outside.around + 1))
+    local = local[:, rim:-rim, rim:-rim]
+    sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
+    weight = windows.weight[:, None] * question.share
+    return (sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())), quantile(sigma, weight, 0.999),
+            float(sigma.max() * windows.steepest))
+
+
+def _world(outside, windows):
+    """Light of the windows, those of a dark world beyond the picture in it, float32 (n, side, side)."""
+    rows, cols = outside.image.shape
+    y, x = (border_indices(at, n, rule_of(outside.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
+    light = np.stack([outside.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(np.float32)
+    if outside.border == "zero":
+        light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+    return light
+
+
+def _middle(light, table, valid):
+    """The middles, (n, C, valid, valid), of windows (n, side, side) blurred by tables (C, side, side // 2 + 1)."""
+    side = light.shape[-1]
+    inner = slice((side - valid) // 2, (side + valid) // 2)
+    rows = scipy.fft.ifft(scipy.fft.rfft2(light)[:, None] * table, axis=2)[:, :, inner]  # the others are not asked for
+    return scipy.fft.irfft(rows, side)[..., inner]
+
+
+def _beyond(question, tiling, far):
+    """Transforms of what a tile holds of points outside its overlap, at a period twice its side, by channels."""
+    side, optics = tiling.side, question.optics
+    of = (optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
+    r, rings = question.kept(f"rings {side}", of, lambda: rings_of(question, side))
+    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
+    held = rings[:, outer] + far.tails @ r[outer] ** -np.array(POWERS)[:, None]
+    held -= energies(far.sigmas, far.tails)[:, :-1] @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
+    light = question.weights * np.sqrt(np.maximum(np.diag(question.facts.spectra.differences), 0))  # of edges
+    quarter = np.zeros((len(light), *r.shape), np.float32)
+    quarter[:, outer] = light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300) @ held
+    at = np.abs(np.arange(-side, side))
+    whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]  # as far as the windows see, a side away
+    return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
+
+
+def rings_of(question, side):
+    """Distances of (side, side) places below and right of a point, and its waves there, (L, side, side)."""
+    optics = question.optics
+    hole = optics.pupil.obscuration
+    rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
+    y, x = np.indices((side, side), float)
+    r = np.maximum(np.hypot(y, x), 1)
+    y, x = y / r, x / r
+    found = np.zeros((len(question.q), side, side))
+    for own, q, wave in zip(found, question.q, optics.waves(question.scene.wavelengths), strict=True):
+        for rho, a in rims:
+            own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * _seen(question, rho / q, y, x)
+        for (one, a), (other, b) in combinations(rims, 2):
+            path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
+            less, more = (one - other) / (2 * q), (one + other) / (2 * q)
+            own += a * b * np.cos(2 * pi * path) * (np.cos(2 * pi * less * r) * _seen(question, less, y, x)
+                                                    - np.sin(2 * pi * more * r) * _seen(question, more, y, x))
+        own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
+    return r, found
+
+
+def _seen(question, frequency, down, across):
+    """What pixels leave of a wave of this frequency [1/sample] in this direction."""
+    optics, left = question.optics, 1.0
+    for along, cell, side, spots in zip((down, across), question.cell, question.aperture, optics.birefringence,
+                                        strict=True):
+        wave = frequency * along
+        left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
+        if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
+            left = left * np.sinc(side * question.ratio * (wave - np.rint(wave)))
+    return left * np.exp(-2 * (pi * optics.diffuser / question.pitch * frequency) ** 2)
