@@ -207,7 +207,7 @@ def _cells(result):
 
 
 TABLES = {"stages": _stages, "loops": _loops, "scaling": _scaling, "threads": _threads, "compare": _peers,
-          "noise": _peers, "pyramid": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
+          "noise": _peers, "field": _peers, "fusion": _peers, "transforms": _peers,
           "picture": _peers, "triples": _triples, "tolerances": _tolerances, "demosaic": _cells, "color": _cells,
           "figure8": _cells, "figure14": _cells}
 

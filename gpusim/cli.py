@@ -40,7 +40,7 @@ def _simulate(arguments):
     camera = operated(open_camera(arguments.camera), arguments)
     scene = scene_of(arguments)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
-                          guaranteed=arguments.guaranteed, fft_free=arguments.fft_free, strict=arguments.strict)
+                          guaranteed=arguments.guaranteed, strict=arguments.strict)
     for path in arguments.out:
         check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
@@ -74,7 +74,7 @@ def _plan(arguments):
 
     check_output(arguments.json)
     simulator = Simulator(operated(open_camera(arguments.camera), arguments), device=arguments.device,
-                          tolerance=arguments.tolerance, guaranteed=arguments.guaranteed, fft_free=arguments.fft_free,
+                          tolerance=arguments.tolerance, guaranteed=arguments.guaranteed,
                           strict=arguments.strict)
     forecast = Forecast.of(simulator, scene_of(arguments))
     print(forecast)

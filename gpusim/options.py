@@ -119,7 +119,6 @@ def add_asked(command):
     command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
     command.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
     command.add_argument("--strict", action="store_true", help="refuse a tolerance that is not predicted to be met")
-    command.add_argument("--fft-free", action="store_true", help="blur without Fourier transforms")
     command.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
     command.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
                           "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "

@@ -36,18 +36,17 @@ class Simulator:
     exact. guaranteed: predict for the worst spectrum there can be, a monochromatic point, and not for the scene's own.
     reach: pixels of surroundings on each side that take part in the blur; by default BORDER_REACH, or what the
     tolerance needs, with a world without end beyond where the lens allows it.
-    fft_free: blur without transforms, by pyramids of separable kernels (error 2e-4). period: of the transforms
-    [sample], for the reference: see `gpusim.planner.plan.plan`. strict: raise NotMet for a scene of which the tolerance
-    is predicted not to be met; else the report says so.
+    period: of the transforms [sample], for the reference: see `gpusim.planner.plan.plan`. strict: raise NotMet for a
+    scene of which the tolerance is predicted not to be met; else the report says so.
     Raises BadData for what is no camera, DeviceError, UnknownName, OutOfRange (a tolerance below what float32 can
     hold).
     """
 
     def __init__(self, camera: Camera, *, device: Device | str = "auto", tolerance: Tolerance | str | None = None,
-                 guaranteed: bool = False, reach: int | None = None, fft_free: bool = False,
+                 guaranteed: bool = False, reach: int | None = None,
                  period: tuple[int, int] | None = None, strict: bool = False):
         self.strict = strict
-        self.guaranteed, self.reach, self.fft_free, self.period = guaranteed, checked_reach(reach), fft_free, period
+        self.guaranteed, self.reach, self.period = guaranteed, checked_reach(reach), period
         self.device = open_device(device) if isinstance(device, str) else device
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if self.tolerance and self.tolerance.rms and self.tolerance.rms < 1e-6 and self.device.kind != "numpy":

@@ -52,8 +52,6 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
 
 def _blur(plan, planes, samples, channels):
     frequencies = plan.period[0] * (plan.period[1] // 2 + 1)
-    if plan.fft_free:
-        return {"optics.nearfar": samples * (planes + channels)}
     if plan.tiling is not None:
         side, cfa = plan.tiling.side, plan.camera.sensor.cfa_indices.shape
         phases, size = (prod(cfa), [side // n for n in cfa]) if plan.folded else (channels, (side, side))

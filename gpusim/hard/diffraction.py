@@ -22,8 +22,7 @@ from gpusim.simulator import Simulator
 
 PLANS: dict[str, dict] = {"exact": {}, "fused to 1e-2": {"tolerance": Tolerance(rms=1e-2)},
          "fused to 1e-4": {"tolerance": Tolerance(rms=1e-4)},
-         "guaranteed": {"tolerance": Tolerance(rms=1e-2), "guaranteed": True},
-         "without transforms": {"fft_free": True}}
+         "guaranteed": {"tolerance": Tolerance(rms=1e-2), "guaranteed": True}}
 
 
 @case(4, "flat fields", "any spectrum: electrons to 1e-6 in every plan, truncated kernels too; sums of energy to 1e-6")
@@ -40,8 +39,7 @@ def flat_fields(device):
     found.append(Found(_flat(Simulator(coma, device=device), WAVELENGTHS[::10], [random.random(4)]), 1e-6,
                        "flat, varying over the field"))
     for plan, options in PLANS.items():
-        if plan != "without transforms":  # these have no period
-            found.append(Found(_energy(device, options), 1e-6, f"energy, {plan}"))
+        found.append(Found(_energy(device, options), 1e-6, f"energy, {plan}"))
     return worst(*found)
 
 

@@ -68,7 +68,7 @@ def has_far_field(question: Question, by_depth: bool) -> bool:
     """
     optics = question.optics
     return (question.is_blurred and optics.psf is None and not optics.pupil.blades and optics.is_symmetric
-            and not optics.varies and not by_depth and not question.fft_free and not question.period
+            and not optics.varies and not by_depth and not question.period
             and not any(question.moved) and min(question.size) >= LEAST_SIDE)
 
 

@@ -19,7 +19,6 @@ from gpusim.planner.geometry import DistortionGrid
 from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
 from gpusim.planner.models.field import doubt_of
-from gpusim.planner.models.spectral import FFT_FREE_ERROR
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
@@ -49,7 +48,7 @@ class Plan:
     depth: how the blur goes by the distance of things, where the scene tells it; else None.
     distortion: where the lens puts the samples, None: where a pinhole would.
     falloff: of every pixel, shape (rows, cols), where it is more than the cos^4 law of a grid of pixels in the middle.
-    folded: whether the blur gives the mosaic at once, in transforms of its phases. fft_free: whether it has none.
+    folded: whether the blur gives the mosaic at once, in transforms of its phases.
     taps: weights of the scene's samples in the rows and columns of pixels, None where each pixel is one sample.
     spare: blurred samples around the scene's that they use.
     q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
@@ -81,7 +80,6 @@ class Plan:
     distortion: DistortionGrid | None
     falloff: np.ndarray | None
     folded: bool
-    fft_free: bool
     taps: tuple[Taps, Taps] | None
     spare: int
     q: np.ndarray
@@ -162,7 +160,7 @@ class Plan:
 
 
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
-         reach: int | None = None, fft_free: bool = False, period: tuple[int, int] | None = None,
+         reach: int | None = None, period: tuple[int, int] | None = None,
          kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None,
          single: bool = True, tiled: bool = True, least: int = 0) -> Plan:
     """Decide how `scene` is seen by `camera`.
@@ -171,21 +169,20 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     the exact way, the most accurate. Without one every wavelength is exact.
     guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
     reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
-    needs, if that is not too much (`most_reach`). fft_free: blur by pyramids of separable kernels in place of
-    transforms. period: of the transforms [sample], for the reference: no mosaic is folded and no highlight split off
-    then. kept: gives what was made for plans before, see `Kept`; by default nothing. facts: of the scene, where they
-    were read before. exposure_time: that it will be exposed for, where it is not the camera's own [s].
-    single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which
-    the electrons alone are rounded. tiled: whether tiles are faster there than transforms of the frame, as on a CPU.
-    least: planes that the blur has at least, where scenes of this kind were found to
-    need them; 0: it may be left out.
+    needs, if that is not too much (`most_reach`). period: of the transforms [sample], for the reference: no mosaic is
+    folded and no highlight split off then. kept: gives what was made for plans before, see `Kept`; by default nothing.
+    facts: of the scene, where they were read before. exposure_time: that it will be exposed for, where it is not the
+    camera's own [s].
+    single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which the
+    electrons alone are rounded. tiled: whether tiles are faster there than transforms of the frame, as on a CPU.
+    least: planes that the blur has at least, where scenes of this kind were found to need them; 0: it may be left out.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
     Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
-                           reach=reach, fft_free=fft_free, period=period, kept=kept, tiled=tiled, least=least)
+                           reach=reach, period=period, kept=kept, tiled=tiled, least=least)
     question, picture = highlights.split(question)
     notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
     blurred = question
@@ -217,7 +214,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     return Plan(
         scene, camera, weights, weights.sum(axis=1) if scene.light_is_known else None, planes.flat, planes.table,
         planes.mix, planes.transfers, question.content, picture.highlights, planes.varying, by_depth, distortion,
-        gains, seen.folded, fft_free and question.is_blurred, taps, spare, question.q,
+        gains, seen.folded, taps, spare, question.q,
         seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
         notes.left_out, account, notes.beside,
         None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.front,
@@ -251,8 +248,6 @@ def _plain(question, blurred, fixed, notes):
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     """The best way to blur; fixed: errors of all ways."""
     tolerance = question.tolerance
-    if question.fft_free:
-        fixed = {"pyramid": Bound(FFT_FREE_ERROR) if probes is None else probes.local(FFT_FREE_ERROR)}
     fixed |= notes.bounds | depth.bounds_of(by_depth, probes)
     arounds = border.surroundings(question, picture, by_depth, operation.level)
     found = options(question, spectral.ways(question, probes), arounds, fixed,

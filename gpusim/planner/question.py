@@ -28,7 +28,7 @@ class Question:
     """A scene before a camera, checked.
 
     facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
-    guaranteed, reach, fft_free, period, kept: see `gpusim.planner.plan.plan`.
+    guaranteed, reach, period, kept: see `gpusim.planner.plan.plan`.
     tiled: whether tiles are faster than transforms of the frame where it is computed.
     least: planes that a blur has at least, 0: it may be left out.
     weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
@@ -41,7 +41,6 @@ class Question:
     tolerance: Tolerance | None
     guaranteed: bool
     reach: int | None
-    fft_free: bool
     period: tuple[int, int] | None
     kept: Kept
     weights: np.ndarray
@@ -186,8 +185,6 @@ class Question:
                 abs(move - round(move)) > 1e-9 for move in displacement):
             raise OutOfRange("sensor.offset + sensor.centre", f"{shown}, with one scene sample per pixel and no blur",
                              "whole pixels; or raise samples_per_pixel, or blur")
-        if self.fft_free and self.is_blurred and any(displacement):
-            raise OutOfRange("fft_free", f"a grid displaced by {shown}", "sensor.offset + sensor.centre = 0")
 
     def _check_q(self):
         """Refuse pixels that are far too coarse for the lens."""

@@ -22,8 +22,7 @@ WIDER = 2.0  # times the exact way's samples that transforms may have, for a wor
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
 
-REMEDIES = {"pyramid": "transforms would, so leave fft_free out",
-            "transforms": "float64 would, so use device numpy",
+REMEDIES = {"transforms": "float64 would, so use device numpy",
             "rounding": "float64 would, so use device numpy",
             "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
             "depth": "a scene that gives its layers, or less depth, would be met"}

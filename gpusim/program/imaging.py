@@ -15,7 +15,6 @@ from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.kernels.optics.mosaic import mosaic
-from gpusim.kernels.optics.nearfar import nearfar
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.tiles import tiles
@@ -135,17 +134,10 @@ class Imaging:
 
     def _blurred_alike(self, plan, planes, border):
         """The same, where the blur varies over the field as on its axis."""
-        device, margin = self.device, plan.scene.margin
+        if plan.depth is not None:
+            return self._by_depth(plan, planes, border)
         # spare samples around the scene's own: the crop of the blur begins outside of them
-        if plan.fft_free:
-            rates = nearfar(planes, self.tables.levels(plan), plan.mix, border, device=device)
-            if margin:
-                rates = self._inside(rates, margin)
-        elif plan.depth is None:
-            rates = self._alike(plan, planes, None, border, margin - plan.spare)
-        else:
-            rates = self._by_depth(plan, planes, border)
-        return rates
+        return self._alike(plan, planes, None, border, plan.scene.margin - plan.spare)
 
     def _alike(self, plan, planes, cfa, border, margin):
         """The mosaic, or the channels (cfa None), where the blur is the same all over the frame."""

@@ -89,8 +89,6 @@ def _tables(plan):
 def _blur(plan, device, planes, shape):
     """Spectra, their sums, and what becomes of them."""
     (rows, cols), (high, wide), channels = shape, plan.period, len(plan.weights)
-    if plan.fft_free:
-        return 4 * (planes + channels) * rows * cols * 2
     if plan.tiling is not None:
         return _by_tiles(plan, device, planes)
     by_host = device.on_host or room(max(plan.period)) > device.local_bytes

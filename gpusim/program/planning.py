@@ -68,4 +68,4 @@ def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Acc
 
 def _asked(simulator):
     """How a simulator asks for plans, beside the tolerance."""
-    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "fft_free", "period", "kept")}
+    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period", "kept")}

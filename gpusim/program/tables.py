@@ -10,11 +10,8 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.psf import psf_tables
 from gpusim.optics.tables import transfer_tables
-from gpusim.planner.nearfar import kernel_of, levels_of
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
-
-FFT_FREE_REACH = 255  # [pixel] of kernels without transforms; the little beyond is folded into them
 
 
 class LensTables:
@@ -51,18 +48,6 @@ class LensTables:
         far = () if plan.far is None else (plan.far.sigmas, plan.far.tails)
         return (*far, self._lens, plan.q, self.grid(plan.scene.samples_per_pixel), plan.period, plan.mix.shape,
                 plan.transfers)
-
-    def levels(self, plan: Plan):
-        """The plan's kernels as pyramids."""
-        reach = min(FFT_FREE_REACH, max(plan.scene.samples))
-        period = (2 * reach + 2,) * 2
-
-        def pyramids():
-            bands = self.bands(plan.q, *self.grid(plan.scene.samples_per_pixel), *period, self.device)
-            tables = self.device.numpy(self.combined(plan, bands))
-            return levels_of([[kernel_of(table, period, reach) for table in group] for group in tables])
-
-        return self._kept("levels", (reach, *self._key(plan)), pyramids)
 
     def bands(self, q, pitch, aperture, rows, cols, device, distance=None):
         """Transfer tables of every wavelength: quarters where the optics is the same at every angle, else halves.

@@ -304,25 +304,6 @@ def test_relative_illumination_and_microlenses(device):
     np.testing.assert_allclose(ratio, wanted, rtol=1e-6)
 
 
-@pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("content", ["cube", "leaves"])
-def test_frames_without_transforms(device, content):
-    """Against the same frame by transforms: the pyramid's 3e-4, and the border's part, which is the same for both."""
-    phone = gs.open_camera("phone")
-    scene = cube(natural((96, 128))) if content == "cube" else gs.open_scene("deadleaves", size=(128, 96))
-    for camera_, tolerance in ((phone, None), (phone, 1e-3), (gs.open_camera("mono"), None)):
-        free = gs.Simulator(camera_, device=device, tolerance=tolerance, fft_free=True, reach=128)
-        exposure = free.expose(scene, 0.01)
-        assert "optics.nearfar" in exposure.plan.models and not exposure.plan.folded
-        assert exposure.plan.account.bounds["pyramid"].rms >= 2e-4
-        mean = free.device.numpy(exposure.mean)
-        by_fft = gs.Simulator(camera_, device=device, tolerance=tolerance, reach=128).expose(scene, 0.01)
-        truth = free.device.numpy(by_fft.mean).astype(float)
-        assert np.sqrt(np.mean((mean - truth) ** 2) / np.mean(truth**2)) < 3e-4
-    with pytest.raises(OutOfRange, match="fft_free"):
-        gs.Simulator(camera(wavefront=MILD), device=device, fft_free=True).plan(scene)
-
-
 def test_camera_files_have_all_of_it(tmp_path):
     bands = np.linspace(380.0, 780.0, 5)
     np.savez(tmp_path / "psf.npz", wavelengths_nm=bands, heights=[0.0, 1.0], spacing_um=0.7,

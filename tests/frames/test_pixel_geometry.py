@@ -319,21 +319,20 @@ def test_the_sampling_error_knows_rectangles_and_places():
 
 @pytest.mark.parametrize(("change", "says"), [
     ({"sensor": {"offset": (0.5, 0.0)}, "model": "none"}, "raise samples_per_pixel"),
-    ({"sensor": {"offset": (1.0, 0.0)}, "fft_free": True}, "fft_free"),
     ({"sensor": {"offset": (7.0, 0.0)}}, "quarter of the frame"),
     ({"sensor": {"offset": (1.0, 0.0)}, "model": "none", "border": "scene", "margin": 2}, "beyond the frame"),
     ({"sensor": {"offset": (0.5, 0.0)}, "model": "measured"}, "samples of the irradiance"),
 ])
 def test_displacements_that_nothing_honours_are_refused(change, says):
     change = dict(change)
-    sensor, fft_free = change.pop("sensor"), change.pop("fft_free", False)
+    sensor = change.pop("sensor")
     scene = noise((24, 24), **{key: change.pop(key) for key in ("border", "margin") if key in change})
     made = camera(sensor=sensor, **{key: value for key, value in change.items() if value != "measured"})
     if "model" in change and change["model"] == "measured":
         pixels = PointSpread(BANDS, np.ones((3, 3, 3)), made.sensor.pixel_pitch, integrated=True)
         made = dataclasses.replace(made, optics=dataclasses.replace(made.optics, model="measured", psf=pixels))
     with pytest.raises(OutOfRange, match=says):
-        mean(scene, made, fft_free=fft_free)
+        mean(scene, made)
 
 
 def test_curves_must_cover_the_light():

@@ -88,8 +88,7 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
     "picture": (camera_with(**FIXED), "picture", {"tolerance": 4e-4}),
     "picture, surroundings": (PHONE, "surrounded picture", {}),
     "materials, fused": (camera_with(**FIXED), "materials", {"tolerance": 4e-4}),
-    "without transforms": (PHONE, "materials", {"tolerance": 4e-4, "fft_free": True}),
-    "without transforms, surroundings": (PHONE, "surrounded", {"tolerance": 4e-4, "fft_free": True}),
+    "surroundings, fused": (PHONE, "surrounded", {"tolerance": 4e-4}),
     "surroundings": (PHONE, "surrounded", {}),
 }
 

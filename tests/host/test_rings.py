@@ -28,7 +28,7 @@ def test_rings_are_those_of_the_pupil(q, hole, w040):
     sensor = replace(camera.sensor, fill_factor=1.0, pixel_pitch=550e-9 * optics.working_f_number / q)
     scene = gs.chart("deadleaves", size=(64, 64), wavelengths=np.array([550.0, 560.0]))
     question = Question.of(scene, replace(camera, optics=optics, sensor=sensor), Facts.of(scene), None,
-                           guaranteed=False, reach=None, fft_free=False, period=None, kept=made_anew)
+                           guaranteed=False, reach=None, period=None, kept=made_anew)
     r, rings = rings_of(question, SIDE)
     mean = sum(part / r**power for part, power in zip(tails_of(question)[0], (3, 5, 7), strict=True))
     spread = open_lens(optics, question.pitch, (1.0, 1.0), scene.shape).kernels([550.0], (0.0, 0.0), SIZE)[0]

@@ -1,9 +1,8 @@
-"""Blur form: by transforms straight to the mosaic, by transforms of whole channels, or by pyramids without any."""
+"""Blur form: straight to the mosaic or of whole channels, by transforms of the frame or of tiles."""
 
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, total
-from gpusim.domain.errors import OutOfRange
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.models.border import Surroundings
 from gpusim.planner.models.highlights import Picture
@@ -11,21 +10,16 @@ from gpusim.planner.notes import Notes
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Question, displaced
 
-ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.nearfar": ", without transforms", "optics.blur": "",
+ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.blur": "",
            "optics.tiles": ", by tiles"}
 
 
 def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
     """The stage that blurs, and whether it gives the mosaic at once.
 
-    around: what takes part. Layers by depth are laid over one another channel by channel. Raises OutOfRange.
+    around: what takes part. Layers by depth are laid over one another channel by channel.
     """
     optics, sensor = question.optics, question.sensor
-    if question.fft_free and question.is_blurred:
-        if optics.varies or depth is not None or not optics.is_symmetric:
-            raise OutOfRange("fft_free", f"{optics.description}{', by depth' if depth is not None else ''}",
-                             "a blur that is the same all over the frame and at every angle")
-        return "optics.nearfar", False
     folded = (around.folds and question.ratio == 1 and not sensor.is_monochrome and not sensor.stacked
               and optics.is_symmetric and not optics.varies and not any(question.moved) and depth is None)
     if around.tiling is not None:
@@ -51,7 +45,7 @@ def _must_stay(question, picture):
     points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
     found to need it.
     """
-    return (question.least or question.fft_free or question.period or question.reach or question.guaranteed
+    return (question.least or question.period or question.reach or question.guaranteed
             or question.facts.depth is not None or question.optics.varies or picture.highlights is not None
             or (question.more and question.ratio == 1))
 

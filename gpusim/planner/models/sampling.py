@@ -27,7 +27,7 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
     if ratio == 1 and (is_blurred or not question.more):
         return None, 0
     spare = 0
-    if is_blurred and not question.fft_free:
+    if is_blurred:
         spare = int(min(SPARE + question.more, most))
     rows, cols = _blurred_axes(question, spare) if is_blurred else _plain_axes(question)
     return (rows, cols), spare

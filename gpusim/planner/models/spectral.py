@@ -24,7 +24,6 @@ from gpusim.planner.windows import Windows
 
 PRIOR = ("munsell", "dupont", "objects", "skin", "colorchecker-sg")  # reflectances held likely before a cube is seen
 ENOUGH = 0.25  # of a tolerance: where fused planes err less, more of them would not help the sum
-FFT_FREE_ERROR = 2e-4  # relative RMS of the pyramid's kernels: 1.2e-4 .. 2.0e-4 at f/2.8 and 1.4 um on natural scenes
 # Rows and columns of field points, 1 the frame's border, whose responses stand for the field's
 FIELD_POINTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.0, 0.9), (0.9, 0.9))
 
