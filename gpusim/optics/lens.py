@@ -176,6 +176,19 @@ def tail_of(optics: Optics) -> float:
     return float((outline + 2 * np.pi * pupil.obscuration) / (np.pi * pupil.area) / (2 * np.pi**3))
 
 
+def straight_tail(optics: Optics) -> tuple[tuple[float, ...], float]:
+    """Angles of the lines through a point along which straight blades throw its light, from x on [rad], and how much.
+
+    The second is their part of the tail, as `tail_of` has it; none of a round pupil.
+    """
+    pupil = optics.pupil
+    if not pupil.blades or optics.psf is not None:
+        return (), 0.0
+    outline = 2 * pupil.blades * np.sin(np.pi / pupil.blades)
+    angles = pupil.rotation + np.pi / pupil.blades * (2 * np.arange(pupil.blades) + 1)
+    return tuple(angles.tolist()), float(outline / (outline + 2 * np.pi * pupil.obscuration))
+
+
 def _steepest(wave):
     """Largest slope of the wavefront in the pupil [waves per radius]."""
     u = np.linspace(-1, 1, 17)

@@ -8,7 +8,7 @@ mean over directions and rings, the energy
 
 (the cusp of the transfer function at 0, whose slope is twice the mean width of the pupil over its area, transformed;
 Cauchy's mean width of an outline is its perimeter over pi). For a circle that is q / (pi^3 r^3). From far away such
-light is smooth, so a coarse grid is enough for it.
+light is smooth, so a coarse grid is enough for it. Straight blades throw theirs along their normals, as r^-2.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from scipy.special import j1
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
+LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
 CELLS, LEAST_CELLS = 4, 64  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
 PROBED = 128  # samples along an axis at which it is predicted
 # A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
@@ -46,14 +47,15 @@ def border_indices(at, n: int, border: str) -> np.ndarray:
 
 
 def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5),
-           soft: float = 1.0) -> np.ndarray:
+           soft: float = 1.0, rays: tuple[float, ...] = (), straight: float = 0.0) -> np.ndarray:
     """What a world without end adds to what a transform sees, at the cells of a coarse grid.
 
     image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
     middle [sample]. border: "zero", "edge" or "reflect". cell: about the side of a cell [sample]. tail: energy of a
     point per square sample times r^3. disc: radius of an even disc of energy 1 beside it [sample]; none of 0.
     times: periods that the worlds span from which the one without end is extrapolated, odd. soft: cells within which
-    the tail is softened: steps ring on the grid, by some 1e-6 at 1, and not at 2.
+    the tail is softened: steps ring on the grid, by some 1e-6 at 1, and not at 2. rays: angles of the lines, through a
+    point, along which a part `straight` of its tail goes, from the direction of the columns on [rad].
     Returns the cells of one period; `at_samples` interpolates between them.
     """
     powers = POWERS[border]
@@ -70,7 +72,8 @@ def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0
         """The middle period of a world that repeats itself after `wide` of them."""
         around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
         part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
-        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc, soft * max(steps))
+        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc, soft * max(steps), rays,
+                         straight)
         spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
         y, x = middle
         rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
@@ -139,7 +142,8 @@ class Outside:
     image: light of the frame, or of frame and margin, without the highlights that are added one by one, shape (rows,
     cols). border, margin: the scene's. tail: energy of a point per square sample times r^3. spread: radius within which
     its rays meet the image [sample]. level: root mean square of the frame. noise: variance of the read noise over the
-    electrons at that level. missing: light that every sample is known to lack.
+    electrons at that level. missing: light that every sample is known to lack. around: samples on each side whose light
+    stands for what a lens mixes. rays, straight: lines along which a part of the tail goes, see `unseen`.
     """
 
     image: np.ndarray
@@ -151,6 +155,8 @@ class Outside:
     noise: float
     missing: float = 0.0
     around: int = 0
+    rays: tuple[float, ...] = ()
+    straight: float = 0.0
 
     def error(self, period, reach: float) -> tuple[float, float, float]:
         """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
@@ -166,8 +172,9 @@ class Outside:
         light = self.image
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
-        cell = max(min(reach / CELLS, max(period) / LEAST_CELLS), 1)
-        coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc)
+        cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
+        coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc,
+                        rays=self.rays, straight=self.straight)
         rows, cols, sigma = self._probed
         error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
         sigmas = error / sigma
@@ -229,16 +236,25 @@ def _means(n, period, cells, border, wide, dtype):
 
 
 @lru_cache(maxsize=32)
-def _kernel(cells, steps, tail, disc, soft):
+def _kernel(cells, steps, tail, disc, soft, rays, straight):
     """Transform of tail r^-3, softened within `soft`, and of a disc, at the frequencies of a world of cells.
 
-    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel.
+    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel. What goes
+    along a line is 1 / (r^2 + a^2), of transform pi / a exp(-2 pi a |f|), f the frequency along it, likewise; all lines
+    together have the energy of the tail beyond any r.
     """
     fy, fx = (frequencies(count) / step for frequencies, count, step in
               zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
     f = np.hypot(fy[:, None], fx)
-    kernel = tail * 2 * np.pi / soft * (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6)
+    kernel = tail * (1 - straight) * 2 * np.pi * _softened(soft, f)
+    for angle in rays:
+        along = np.abs(fy[:, None] * np.sin(angle) + fx * np.cos(angle))
+        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _softened(soft, along)
     if disc:
         v = np.maximum(2 * np.pi * disc * f, 1e-9)
         kernel = kernel + 2 * j1(v) / v * np.exp(-((np.pi * soft * f) ** 2))
     return kernel
+
+
+def _softened(soft, f):
+    return (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6) / soft

@@ -11,7 +11,7 @@ from scipy.special import j0, j1
 from gpusim.domain.account import Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.lengths import LENGTHS, transform_lengths
-from gpusim.optics.lens import tail_of
+from gpusim.optics.lens import straight_tail, tail_of
 from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
@@ -165,7 +165,7 @@ def _outside(question, picture, depth, level):
     tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
     return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
                    max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0,
-                   min(round(question.deviation), MOST_AROUND))
+                   min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ()))
 
 
 def _energy_beyond(radius, q):
