@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.otf import FAST, defocus_only, hopkins, transfer
+from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
@@ -24,17 +24,12 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
 
     n is such that cubics through the nodes err by less than `error`. Raises OutOfRange as `transfer`, DoesNotFit.
     """
-    if defocus_only(outline, waves):
-        focus = waves[:, 2, 0, None] if waves.shape[-1] > 2 else 0 * waves[:, 0, :1]
-        found, to_bands = lambda s: hopkins(s, focus), np.eye(len(waves))
-    else:
-        _, scaled, to_bands = scales(waves)
-        series = expansion(outline, scaled)
-        found = lambda s: series(s, np.zeros(1))[:, 0].real  # noqa: E731
+    _, scaled, to_bands = scales(waves)
+    series = expansion(outline, scaled)
     length = 512 * (1 + ceil(peak_to_valley(waves)))
     while True:
         require_memory("transfer tables", 16 * length * len(waves))
-        table = found(1 - np.linspace(1, 0, length) ** 2)
+        table = series(1 - np.linspace(1, 0, length) ** 2, np.zeros(1))[:, 0].real
         rest = cubic_error(table)
         if rest <= error:
             return to_bands @ table

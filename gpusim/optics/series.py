@@ -4,7 +4,7 @@ They make all values from the integrals at few places (`gpusim.optics.otf`).
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -12,10 +12,11 @@ from numpy.polynomial.polynomial import polyval2d
 from scipy.special import jv
 
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.otf import EXACT, FAST, transfer
+from gpusim.optics.otf import EXACT, FAST, defocus_only, hopkins, transfer
 from gpusim.optics.phase import LEAST, Budget, degree, phases, separated, steepest
 
 ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
+CHUNK = 4096  # radii whose polynomials are in memory at a time
 UNRESOLVED = 5e-7  # last coefficients of an interpolation: three of them, twice, are a fifth of the tables' 1e-5
 
 
@@ -40,8 +41,8 @@ class Expansion:
         place = np.arccos(np.clip(1 - 2 * (s - a) / (b - a), -1, 1)) / np.pi
         turning = np.exp(1j * np.multiply.outer(angles, np.fft.fftfreq(orders, 1 / orders)))
         out = np.zeros((len(around), len(angles), len(s)), complex)
-        for k in range(panels):
-            here = panel == k
+        for k, piece in product(range(panels), range(0, len(s), CHUNK)):
+            here = piece + np.flatnonzero(panel[piece : piece + CHUNK] == k)
             radial = np.ascontiguousarray(chebvander(2 * place[here] - 1, count - 1).T)
             re, im = (part.reshape(-1, count) @ radial for part in (around[:, :, k].real, around[:, :, k].imag))
             lines = (re + 1j * im).reshape(len(out), orders, -1)
@@ -58,7 +59,8 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
     edges = np.unique(np.clip([0, 1, *_kinks(pupil)], 0, 1))
     strongest = _strongest(waves)
     count, rays, repeats, nodes = _foreseen(pupil, strongest, edges, error >= UNRESOLVED)
-    Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
+    if not defocus_only(pupil, waves):
+        Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
 
     if rays > 1:  # first along few rays and around few circles
         while _series(pupil, strongest, edges, count, ANGLES, error)[1] >= error:
@@ -132,8 +134,7 @@ def _series(pupil, waves, edges, count, rays, error):
     rays = own * repeats
     turn = np.arange(own) * np.pi / rays
     x, y = (np.multiply.outer(part, radius).ravel() for part in (np.cos(turn), np.sin(turn)))
-    fast = error >= UNRESOLVED
-    found = transfer(pupil, waves, x, y, error=FAST if fast else EXACT, fast=fast)
+    found = _integrals(pupil, waves, x, y, error >= UNRESOLVED)
     found = found.reshape(len(waves), own, len(edges) - 1, count)
     other = found.conj() if fold % 2 else found
     found = np.concatenate([other if k % 2 else found for k in range(repeats)], axis=1)
@@ -143,6 +144,12 @@ def _series(pupil, waves, edges, count, rays, error):
     last = slice(max(rays - fold, 0), rays + fold + 1)  # only every `fold`-th order is there
     angular_rest = np.abs(around[:, last]).max() if rays > 1 else 0.0
     return around @ along, np.abs(found @ along[:, -3:]).max(), angular_rest
+
+
+def _integrals(pupil, waves, sx, sy, fast):
+    if defocus_only(pupil, waves):
+        return hopkins(np.hypot(sx, sy), waves[:, 2, :1] if waves.shape[-1] > 2 else 0.0 * waves[:, 0, :1])
+    return transfer(pupil, waves, sx, sy, error=FAST if fast else EXACT, fast=fast)
 
 
 def _kinks(pupil):

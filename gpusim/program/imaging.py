@@ -19,7 +19,6 @@ from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.tiles import tiles
 from gpusim.kernels.sensor.collect import collect
-from gpusim.kernels.spectral.integrate import integrate
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
@@ -169,18 +168,15 @@ class Imaging:
         depth, device, margin = plan.depth, self.device, plan.scene.margin - plan.spare
         assert depth is not None
         channels = len(plan.weights)
-        white = plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300)
         lights, alphas, layers = [], [], []
         for layer in range(depth.layers):
             content, coverage, confusion = depth.sheet(layer, plan.content)
             own = planes if content is plan.content else self.planes(plan.table, self.stored(content))
             for kernel, share in depth.shares(coverage, confusion):
-                bands = self.tables.all_bands(plan, depth.distances[kernel])
+                tables, cover = self.tables.at_distance(plan, kernel)
                 share = device.array(share[None])
-                light = blur(falloff(own, share, device=device), self.tables.combined(plan, bands), plan.mix, border,
+                light = blur(falloff(own, share, device=device), tables, plan.mix, border,
                              plan.period, margin=margin, device=device)
-                cover = integrate(bands, device.array(white), device=device)
-                cover = device.reshape(cover, (channels, 1, *bands.shape[1:]))
                 alpha = blur(share, cover, np.ones((channels, 1), np.float32), "edge" if border == "zero" else border,
                              plan.period, margin=margin, device=device)
                 lights.append(light)

@@ -38,6 +38,8 @@ def bytes_needed(plan: Plan, device: Device) -> int:
         total += 4 * len(plan.weights) * prod(scene.shape)
     if plan.depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
         total += 16 * len(plan.weights) * samples * len(plan.depth.kernels) * plan.depth.layers
+        if plan.transfers is not None:  # every kernel's tables are kept, of the planes and of white
+            total += _table(plan) * (prod(plan.transfers.shape[:2]) + len(plan.weights)) * len(plan.depth.kernels)
     if plan.varying is not None:
         total += 20 * samples * plan.varying.convolutions  # maps in float64 and float32, planes times maps, spectra
         total += plan.varying.bytes_of_tiles(len(plan.weights)) + 4 * samples * len(plan.weights)
@@ -80,10 +82,13 @@ def largest_array(plan: Plan) -> int:
 
 def _tables(plan):
     """Transfer tables of the wavelengths, and of the planes made of them: real quarters, or complex halves."""
-    parts = 1 if plan.camera.optics.is_symmetric and not any(plan.camera.sensor.displacement) else 4
-    quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
     combined = 0 if plan.transfers is None else prod(plan.transfers.shape[:2])
-    return 4 * parts * quarter * (len(plan.q) + combined)
+    return _table(plan) * (len(plan.q) + combined)
+
+
+def _table(plan):
+    parts = 1 if plan.camera.optics.is_symmetric and not any(plan.camera.sensor.displacement) else 4
+    return 4 * parts * (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
 
 
 def _blur(plan, device, planes, shape):

@@ -74,6 +74,24 @@ class LensTables:
         (pitch, aperture), (rows, cols) = self.grid(plan.scene.samples_per_pixel), plan.period
         return self.bands(plan.q, pitch, aperture, rows, cols, self.device, distance)
 
+    def at_distance(self, plan: Plan, kernel: int):
+        """Tables of the plan's planes, and of white in its channels, for what is at the distance of one of its kernels.
+
+        Those of planes are kept for the next frame; those of all wavelengths are too large for that.
+        """
+        assert plan.depth is not None
+        distance = plan.depth.distances[kernel]
+        white = plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300)
+
+        def made():
+            bands = self.all_bands(plan, distance)
+            cover = integrate(bands, self.device.array(white), device=self.device)
+            return self.combined(plan, bands), self.device.reshape(cover, (len(white), 1, *bands.shape[1:]))
+
+        if plan.transfers is None:
+            return made()
+        return self._kept(f"transfer at {kernel}", (distance, white, *self._key(plan)), made)
+
     def deviation(self, plan: Plan) -> float:
         """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""
         if plan.mix is None:
