@@ -1,6 +1,8 @@
 """From a scene and a camera to what is computed: host float64 mathematics, no device."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,8 +60,8 @@ class Plan:
     watch: tells whether the planes that wavelengths are fused into still do for other contents, None where any content
         does. limit: relative RMS error up to which they do, SAFETY in it, None without a tolerance.
     models: stage -> what is modelled, and why; left_out: what is not. account: named errors of the scene as sampled.
-    beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one. front: the
-    options that were cheaper, or more accurate, from the cheapest on.
+    beside: named errors that are no part of that. verdict: whether the tolerance is met; None without one.
+    tell_front: gives `front`.
     far: what the world beyond the blur's reach is left to; None: it is not seen.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then. probed: which scene's probes told the others, or why the plan was made anew.
@@ -93,12 +95,17 @@ class Plan:
     account: Account = field(default_factory=Account)
     beside: dict = field(default_factory=dict)
     verdict: Verdict | None = None
-    front: tuple[Candidate, ...] = ()
+    tell_front: Callable[[], tuple[Candidate, ...]] = tuple
     planned_for: str = ""
     probed: str = ""
     tolerance: Tolerance | None = None
     far: FarField | None = None
     tiling: Tiling | None = None
+
+    @cached_property
+    def front(self) -> tuple[Candidate, ...]:
+        """The options that were cheaper, or more accurate, from the cheapest on; computed when it is asked for."""
+        return self.tell_front()
 
     @property
     def count(self) -> int:
@@ -217,7 +224,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         gains, seen.folded, taps, spare, question.q,
         seen.around.period if seen.around else question.size, slope, 0, planes.watch, seen.limit, notes.models,
         notes.left_out, account, notes.beside,
-        None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.front,
+        None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.tell_front,
         tolerance=tolerance, far=seen.around.far if seen.around else None,
         tiling=seen.around.tiling if seen.around else None)
 
@@ -230,7 +237,7 @@ class _Seen:
     around: border.Surroundings | None = None
     folded: bool = False
     limit: float | None = None
-    front: tuple = ()
+    tell_front: Callable[[], tuple[Candidate, ...]] = tuple
     remedy: str = ""
 
 
@@ -265,5 +272,5 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
         own = HEADROOM * total((Bound(rest), option.way.bound)).rms  # what is missed already may be missed as much
         limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
-    return _Seen(planes, option.around, folded, limit, () if tolerance is None else front(found, tolerance),
-                 needed)
+    return _Seen(planes, option.around, folded, limit,
+                 tuple if tolerance is None else lambda: front(found, tolerance), needed)

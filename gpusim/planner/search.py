@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import chain
 from math import log2, prod
 
@@ -30,21 +31,32 @@ REMEDIES = {"transforms": "float64 would, so use device numpy",
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """A way to treat wavelengths in as much of the surroundings. bounds: its errors. cost: see `cost_of`."""
+    """A way to treat wavelengths in as much of the surroundings. fixed: errors of all ways. cost: see `cost_of`."""
 
     way: Way
     around: Surroundings
-    bounds: dict[str, Bound]
+    fixed: dict[str, Bound]
     cost: float
 
-    @property
+    @cached_property
+    def bounds(self) -> dict[str, Bound]:
+        """Its errors."""
+        brighter = self.around.brighter  # ends that go on are transformed, too
+        return {**{name: bound.times(brighter) if name == "transforms" else bound
+                   for name, bound in self.fixed.items()}, "planes": self.way.bound, "border": self.around.bound}
+
+    @cached_property
     def total(self) -> Bound:
         """All of its errors together."""
         return total(self.bounds.values())
 
     def meets(self, tolerance: Tolerance) -> bool:
-        """Whether it is chosen for a tolerance: predicted to meet it, with headroom."""
-        return HEADROOM * SAFETY * self.total.ratio(tolerance) <= 1
+        """Whether it is chosen for a tolerance: predicted to meet it, with headroom.
+
+        Its border is not looked at where the planes alone break it.
+        """
+        most = 1 / (HEADROOM * SAFETY)
+        return self.way.bound.ratio(tolerance) <= most and self.total.ratio(tolerance) <= most
 
 
 def cost_of(question: Question, count: int, around: Surroundings, folded: bool) -> float:
@@ -73,6 +85,7 @@ def options(question: Question, ways: list[Way], arounds: Iterable[list[Surround
             folds) -> list[Option]:
     """Ways in more and more surroundings, none dearer than the exact one in the first, or in a world without end.
 
+    The cheapest is first. The errors of those beyond one that meets the tolerance are not computed here.
     fixed: errors of all. folds: function from surroundings to whether the mosaic folds into the transforms.
     """
     found: list[Option] = []
@@ -84,12 +97,11 @@ def options(question: Question, ways: list[Way], arounds: Iterable[list[Surround
             first = first or around
             if around is first or (around.far is not None and prod(around.period) <= WIDER * prod(first.period)):
                 most = max(most, costs[-1])  # the exact way, and with a world without end
-            bounds = {name: bound.times(around.brighter) if name == "transforms" else bound  # bright ends go on in them
-                      for name, bound in fixed.items()}
-            affordable += [Option(way, around, bounds | {"planes": way.bound, "border": around.bound}, cost)
-                           for way, cost in zip(ways, costs, strict=True) if cost <= most]
+            affordable += [Option(way, around, fixed, cost) for way, cost in zip(ways, costs, strict=True)
+                           if cost <= most]
         if not affordable:
             break
+        affordable.sort(key=lambda option: option.cost)
         found += affordable
         tolerance = question.tolerance
         if tolerance is None or any(option.meets(tolerance) for option in affordable):
@@ -119,14 +131,18 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[list[Surro
 
 
 def chosen(found: list[Option], tolerance: Tolerance | None) -> Option:
-    """The cheapest option that meets the tolerance, or else the cheapest of the most accurate; without one the last."""
+    """The first option that meets the tolerance, or else the cheapest of the most accurate; without one the last.
+
+    found: as `options` gives them.
+    """
     if tolerance is None:
         return found[-1]
-    good = [option for option in found if option.meets(tolerance)]
-    if not good:
-        least = min(option.total.ratio(tolerance) for option in found)
-        good = [option for option in found if option.total.ratio(tolerance) <= NEAR * least]
-    return min(good, key=lambda option: option.cost)
+    good = next((option for option in found if option.meets(tolerance)), None)
+    if good is not None:
+        return good
+    least = min(option.total.ratio(tolerance) for option in found)
+    return min((option for option in found if option.total.ratio(tolerance) <= NEAR * least),
+               key=lambda option: option.cost)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models.noise import without_negligible
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE
+from gpusim.planner.rings import ring_errors
 from gpusim.planner.search import HEADROOM, WIDER, cost_of
 from gpusim.planner.windows import Windows
 
@@ -170,6 +171,26 @@ def test_a_plan_is_printed_and_written(tmp_path, capsys):
     for wrong in ("0", "-1", "nan", "soon"):
         assert main([*asked, "--tolerance", wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("rms", [3e-2, 1e-3, 1e-4])
+def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_judged_before(monkeypatch, rms):
+    judged = []
+
+    def counted(*given):
+        judged.append(given[2])
+        return ring_errors(*given)
+
+    monkeypatch.setattr("gpusim.planner.models.border.ring_errors", counted)
+    tolerance = Tolerance(rms=rms)
+    made = plan(gs.chart("colorchecker", size=(320, 200)), PHONE, tolerance=tolerance)
+    before = len(judged)
+    good = [one for one in made.front if HEADROOM * SAFETY * one.error.ratio(tolerance) <= 1]
+    assert made.verdict.met and before <= 1 < len(judged)
+    assert (good[0].planes, good[0].tiling, good[0].period) == (made.count, made.tiling, made.period)
+    assert (good[0].far is None) == (made.far is None)
+    assert all(one.error.ratio(tolerance) > other.error.ratio(tolerance)
+               for one, other in zip(made.front, made.front[1:], strict=False))
 
 
 def test_a_lens_that_varies_over_a_small_frame_is_not_vouched_for():
