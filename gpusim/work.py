@@ -37,7 +37,7 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)
     if plan.far is not None:
-        work["optics.far"] = multiplications(content.shape, planes, channels, plan.far.sigmas,
+        work["optics.far"] = multiplications(content.shape, planes, channels, tuple(plan.far.sigmas),
                                             plan.far.spacings)
     if plan.highlights is not None:
         across = np.minimum(2 * plan.highlights.reach, max(content.shape))
@@ -86,7 +86,8 @@ def of_bench(stage: str, inputs: dict, rows: int, cols: int) -> float:
     if stage in ("optics.mosaic", "optics.blur", "optics.tiles"):
         return float(stage_module(stage).operations(**inputs))
     if stage == "optics.far":
-        return multiplications((rows, cols), inputs["weights"].shape[1], inputs["weights"].shape[0], inputs["sigmas"])
+        channels, planes, _ = inputs["weights"].shape
+        return multiplications((rows, cols), planes, channels, tuple(inputs["sigmas"]))
     if stage == "optics.splat":
         return len(inputs["places"]) * float(max(rows, cols)) ** 2
     if stage == "optics.field":

@@ -146,13 +146,13 @@ def open_lens(optics: Optics, pitch, aperture, shape, displacement=(0.0, 0.0)):
     return PupilLens(optics, pitch, (height, width), corner, displacement)
 
 
-def wavelength_nodes(wavelengths):
-    """Wavelengths [nm] whose kernels tell those of all, and the weights of these in each, shape (L, nodes)."""
+def wavelength_nodes(wavelengths, count: int = NODES):
+    """As many as `count` wavelengths whose kernels tell those of all, and their weights in each, shape (L, nodes)."""
     wavelengths = np.asarray(wavelengths, np.float64)
-    if len(wavelengths) <= NODES:
+    if len(wavelengths) <= count:
         return wavelengths, np.eye(len(wavelengths))
-    nodes = np.linspace(wavelengths[0], wavelengths[-1], NODES)
-    return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(NODES))(wavelengths)
+    nodes = np.linspace(wavelengths[0], wavelengths[-1], count)
+    return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(count))(wavelengths)
 
 
 def spread_radius(optics: Optics, wavelengths, pitch, height: float = 0.0) -> float:

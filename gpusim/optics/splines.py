@@ -11,7 +11,7 @@ Source: Unser, Splines: a perfect fit for signal and image processing (1999); th
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -218,7 +218,9 @@ def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
     return [Axis(n, one, tuple(sigmas), (*ends, len(sigmas)), border) for n, one in zip(shape, coarse, strict=True)]
 
 
-def multiplications(shape, planes: int, channels: int, sigmas, spacings: float = SPACINGS) -> float:
+@lru_cache(maxsize=512)
+def multiplications(shape: tuple[int, int], planes: int, channels: int, sigmas: tuple[float, ...],
+                    spacings: float = SPACINGS) -> float:
     """Of a far field of so many planes and channels, about: what the matrices of both axes have to multiply."""
     down, across = axes(shape, sigmas, "edge", spacings)
     high, wide = down.splines(0), across.splines(0)

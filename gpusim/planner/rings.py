@@ -64,24 +64,33 @@ def _middle(light, table, valid):
     """The middles, (n, C, valid, valid), of windows (n, side, side) blurred by tables (C, side, side // 2 + 1)."""
     side = light.shape[-1]
     inner = slice((side - valid) // 2, (side + valid) // 2)
-    rows = scipy.fft.ifft(scipy.fft.rfft2(light)[:, None] * table, axis=2)[:, :, inner]  # the others are not asked for
-    return scipy.fft.irfft(rows, side)[..., inner]
+    spectra = scipy.fft.rfft2(light, workers=-1)[:, None] * table
+    rows = scipy.fft.ifft(spectra, axis=2, workers=-1, overwrite_x=True)[:, :, inner]  # the others are not asked for
+    return scipy.fft.irfft(rows, side, workers=-1)[..., inner]
 
 
 def _beyond(question, tiling, far):
     """Transforms of what a tile holds of points outside its overlap, at a period twice its side, by channels."""
     side, optics = tiling.side, question.optics
     of = (optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
-    r, rings = question.kept(f"rings {side}", of, lambda: rings_of(question, side))
-    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
-    held = rings[:, outer] + far.tails @ r[outer] ** -np.array(POWERS)[:, None]
-    held -= energies(far.sigmas, far.tails)[:, :-1] @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2))
+    held = question.kept(f"held by tiles of {side} that share {tiling.overlap}", (*of, far.sigmas, far.tails),
+                         lambda: _held(question, tiling, far))
     light = question.weights * np.sqrt(np.maximum(np.diag(question.facts.spectra.differences), 0))  # of edges
-    quarter = np.zeros((len(light), *r.shape), np.float32)
-    quarter[:, outer] = light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300) @ held
+    light /= np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
+    quarter = (light.astype(np.float32) @ held.reshape(len(held), -1)).reshape(-1, side, side)
     at = np.abs(np.arange(-side, side))
     whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]  # as far as the windows see, a side away
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
+
+
+def _held(question, tiling, far):
+    """What a tile holds of a point at its places below and right of it, by wavelength: float32 (L, side, side)."""
+    r, rings = rings_of(question, tiling.side)
+    widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
+    held = np.zeros(rings.shape, np.float32)
+    held[:, outer] = rings[:, outer] + far.tails @ r[outer] ** -np.array(POWERS)[:, None] - (
+        energies(far.sigmas, far.tails)[:, :-1] @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2)))
+    return held
 
 
 def rings_of(question, side):

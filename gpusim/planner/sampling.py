@@ -13,6 +13,7 @@ from math import ceil
 import numpy as np
 
 from gpusim.domain.content import Content
+from gpusim.optics.lens import wavelength_nodes
 from gpusim.planner.border import border_indices
 from gpusim.planner.tables import Tables
 
@@ -22,7 +23,7 @@ SPARE = NODES // 2  # [sample] around the frame that let its outermost pixels in
 SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
 RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
 WIDEST = 8  # [cycle/sample] of these frequencies at most
-BINS = 5  # wavelengths that stand for all in that prediction
+OPTICS = 6  # wavelengths between whose optics those of all are interpolated in that prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,26 +210,23 @@ def _channel_optics(waves, seen, q, ratio, lens_tables):
     seen: what each wavelength gives to each channel, (C, L). Under spiky lights some are negative, as weights of an
     interpolation: their sizes count, so that a channel's function stays a mean of the wavelengths'.
     """
-    seen = np.abs(seen)
-    total = seen.sum(axis=0)
-    bins = np.minimum(((np.cumsum(total) - total / 2) / total.sum() * BINS).astype(int), BINS - 1)
-    used = np.unique(bins)
-    parts = np.stack([seen[:, bins == b].sum(axis=1) for b in used], axis=1)
-    centres = np.array([np.average(q[bins == b], weights=total[bins == b] + 1e-9 * total.max()) for b in used])
+    share = np.abs(seen)
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+    nodes, between = wavelength_nodes(q, OPTICS)  # q goes with the wavelength
     # tables of a grid so fine that nothing is folded onto another frequency, over their own cells' transfer
     finer = 1 if q.min() >= 2 else len(waves.replicas)
     n = finer * round(1 / waves.step)
-    tables = np.asarray(lens_tables.quick(centres * finer, 1.0, n, n, ratio * finer), np.float64)
+    tables = np.asarray(lens_tables.quick(nodes * finer, 1.0, n, n, ratio * finer), np.float64)
+    tables = np.tensordot(share @ between, tables, 1)
     if tables.shape[2] == n // 2 + 1:  # a quarter: the index of |frequency|
         fold = np.minimum(np.arange(n), n - np.arange(n))
         tables = tables[:, fold[:, None], fold]
     else:  # a half of complex numbers: the rest are the conjugates of the opposite frequencies
         half, back = np.ascontiguousarray(tables).view(complex), -np.arange(n) % n
         tables = np.concatenate([half, half[:, back][..., back[n // 2 + 1 :]].conj()], axis=2)
-    share = parts / np.maximum(parts.sum(axis=1, keepdims=True), 1e-300)
     index = np.rint(waves.all / waves.step).astype(int)
     cell = np.where(np.abs(index) <= n // 2, 1 / np.sinc(index / n), 0)
-    return np.tensordot(share, tables, 1)[:, index[:, None] % n, index % n] * (cell[:, None] * cell)
+    return tables[:, index[:, None] % n, index % n] * (cell[:, None] * cell)
 
 
 def _box(f, height=1.0, width=1.0):

@@ -77,7 +77,8 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
     products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
     far = 0.0
     if around.far is not None:
-        far = FAR_COST * multiplications(question.size, count, channels, around.far.sigmas, around.far.spacings)
+        far = FAR_COST * multiplications(
+            question.size, count, channels, tuple(around.far.sigmas), around.far.spacings)
     return (count + back) * transform + products + far + FLOP_PER_BYTE * read
 
 
