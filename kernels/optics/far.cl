@@ -1,5 +1,7 @@
-// WIDTH lanes of BLOCK rows of a matrix per work-item. Lanes are neighbours in memory.
+// BLOCK rows of a matrix by SPANS x WIDTH lanes, which are neighbours in memory, per work-item. On a CPU a row's weight is
+// loaded once for all lanes, and as many sums are under way as its registers hold.
 #include "lanes.clh"
+#define OWN (SPANS * WIDTH)
 
 __kernel void product(
     // in:
@@ -14,54 +16,84 @@ __kernel void product(
     const int lines, const int lanes, const int size, const int rows, const int blocks, const int most,
     const int matrices, const int sums)
 {
-    const int lane = WIDTH * get_global_id(0), line = get_global_id(1), own_lanes = min(WIDTH, lanes - lane);
-    GUARD(lane >= lanes || line >= lines)
+    const int lane = OWN * get_global_id(0), line = get_global_id(1), own_lanes = min(OWN, lanes - lane);
+    if (lane >= lanes || line >= lines) return;
     const int first = line % blocks * BLOCK, batch = line / blocks, own_rows = min(BLOCK, rows - first);
-    real total[BLOCK];
+    real total[SPANS][BLOCK];
 #pragma unroll
-    for (int row = 0; row < BLOCK; ++row) total[row] = 0.0f;
+    for (int span = 0; span < SPANS; ++span)
+#pragma unroll
+        for (int row = 0; row < BLOCK; ++row) total[span][row] = 0.0f;
     for (int part = 0; part < sums; ++part) {
         const int place = batch * sums + part, own = place % matrices * blocks + line % blocks, entries = count[own];
         __global const float *weight = values + (size_t)own * most * BLOCK;
         __global const float *value = given + ((size_t)place * size + start[own]) * lanes + lane;
-        for (int entry = 0; entry < entries; ++entry, value += lanes, weight += BLOCK) {
-            const real light = load(value, own_lanes);
+        if (own_lanes == OWN)
+            for (int entry = 0; entry < entries; ++entry, value += lanes, weight += BLOCK)
 #pragma unroll
-            for (int row = 0; row < BLOCK; ++row) total[row] += weight[row] * light;
-        }
+                for (int span = 0; span < SPANS; ++span) {
+                    const real light = load(value + span * WIDTH, WIDTH);
+#pragma unroll
+                    for (int row = 0; row < BLOCK; ++row) total[span][row] += weight[row] * light;
+                }
+        else
+            for (int entry = 0; entry < entries; ++entry, value += lanes, weight += BLOCK)
+                for (int span = 0; span < SPANS; ++span) {
+                    const real light = load(value + span * WIDTH, clamp(own_lanes - span * WIDTH, 0, WIDTH));
+                    for (int row = 0; row < BLOCK; ++row) total[span][row] += weight[row] * light;
+                }
     }
-    if (is_turned) {
-        __global float *to = out + ((size_t)batch * lanes + lane) * rows + first;
-        for (int i = 0; i < own_lanes; ++i)
-            for (int row = 0; row < own_rows; ++row)
-                to[i * rows + row] = (is_added ? to[i * rows + row] : 0.0f) + ((float *)&total[row])[i];
-    } else {
-        for (int row = 0; row < own_rows; ++row) {
-            __global float *to = out + ((size_t)batch * rows + first + row) * lanes + lane;
-            real sum = total[row];
-            if (is_added) sum += load(to, own_lanes);
-            STORE(float, sum, to, own_lanes)
+#pragma unroll
+    for (int span = 0; span < SPANS; ++span) {
+        const int here = clamp(own_lanes - span * WIDTH, 0, WIDTH);
+        if (is_turned) {
+            __global float *to = out + ((size_t)batch * lanes + lane + span * WIDTH) * rows + first;
+#if WIDTH == 8 && BLOCK == 4
+            if (here == WIDTH && own_rows == BLOCK) {
+#define TURN(i, s) vstore4((is_added ? vload4(0, to + i * rows) : (float4)0.0f) + (float4)(                     \
+                               total[span][0].s, total[span][1].s, total[span][2].s, total[span][3].s), 0, to + i * rows);
+                TURN(0, s0) TURN(1, s1) TURN(2, s2) TURN(3, s3) TURN(4, s4) TURN(5, s5) TURN(6, s6) TURN(7, s7)
+            } else
+#endif
+            for (int i = 0; i < here; ++i)
+#pragma unroll
+                for (int row = 0; row < BLOCK; ++row)
+                    if (row < own_rows)
+                        to[i * rows + row] = (is_added ? to[i * rows + row] : 0.0f) + ((float *)&total[span][row])[i];
+        } else {
+#pragma unroll
+            for (int row = 0; row < BLOCK; ++row) {
+                __global float *to = out + ((size_t)batch * rows + first + row) * lanes + lane + span * WIDTH;
+                const int some = row < own_rows ? here : 0;
+                real sum = total[span][row];
+                if (is_added) sum += load(to, some);
+                STORE(float, sum, to, some)
+            }
         }
     }
 }
 
-// What every Gaussian of every channel sees of the planes.
+// What `each` Gaussians of every channel see of the planes, one after the other while these are in a CPU's cache.
 __kernel void combine(
     // in:
     __global const float *restrict planes,   // [count][size]
     __global const float *restrict weights,  // [channels][count][sigmas]
     // out:
     __global float *restrict out,            // [channels][sigmas][size]
+    // params:
+    const int each,
     // sizes:
     const int places, const int size, const int count, const int sigmas)
 {
-    const int at = get_global_id(0), place = get_global_id(1);
-    GUARD(at >= size || place >= places)
-    const int channel = place / sigmas, sigma = place % sigmas;
-    float sum = 0.0f;
-    for (int plane = 0; plane < count; ++plane)
-        sum += weights[(channel * count + plane) * sigmas + sigma] * planes[(size_t)plane * size + at];
-    out[(size_t)place * size + at] = sum;
+    const int at = WIDTH * get_global_id(0), first = each * get_global_id(1), own = min(WIDTH, size - at);
+    GUARD(at >= size || first >= places)
+    for (int place = first; place < min(first + each, places); ++place) {
+        const int channel = place / sigmas, sigma = place % sigmas;
+        real sum = 0.0f;
+        for (int plane = 0; plane < count; ++plane)
+            sum += weights[(channel * count + plane) * sigmas + sigma] * load(planes + (size_t)plane * size + at, own);
+        STORE(float, sum, out + (size_t)place * size + at, own)
+    }
 }
 
 // A pixel of a mosaic, or of every channel, from the splines along its row.

@@ -21,6 +21,8 @@ from gpusim.optics.splines import SPACINGS, axes
 LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 
 BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly of the same places
+SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
+GROUP = 4, 16  # its work-items at a time, whose results fill whole lines of the cache when they are turned
 
 
 @stage
@@ -54,8 +56,10 @@ class _Chain:
     def __init__(self, device, down, across):
         self.device, self.down, self.across = device, down, across
         on_cpu = device.kind == "opencl" and device.on_host
-        self.width, self.block = (8, BLOCK) if on_cpu else (1, 1)  # lanes and rows of a work-item
-        self.defines = {"WIDTH": self.width, "BLOCK": self.block} if device.kind == "opencl" else None
+        spans, self.width, self.block = (SPANS, 8, BLOCK) if on_cpu else (1, 1, 1)  # of a work-item
+        self.lanes, self.group = spans * self.width, GROUP if on_cpu else None
+        defines = {"SPANS": spans, "WIDTH": self.width, "BLOCK": self.block}
+        self.defines = defines if device.kind == "opencl" else None
 
     def coefficients(self, planes, weights):
         """Splines of the first level, (channels, rows, cols), that are the far field."""
@@ -79,10 +83,10 @@ class _Chain:
         """Coefficients (channels, rows, cols) of a level's Gaussians."""
         device, (channels, count, sigmas) = self.device, weights.shape
         _, cols, rows = own.shape
-        mixed = device.empty((channels * sigmas, cols, rows))
-        device.launch("optics.far", "combine", (channels * sigmas, cols * rows), own, _constant(
-            device, weights.tobytes(), weights.shape), mixed, channels * sigmas, cols * rows, count, sigmas,
-            defines=self.defines)
+        places, size = channels * sigmas, cols * rows
+        mixed, each = device.empty((places, cols, rows)), places if self.width > 1 else 1
+        device.launch("optics.far", "combine", (-(-places // each), -(-size // self.width)), own, _constant(
+            device, weights.tobytes(), weights.shape), mixed, each, places, size, count, sigmas, defines=self.defines)
         found = self._product(mixed, self._matrices(self.across, "filters", level), turned=True)
         return self._product(found, self._matrices(self.down, "filters", level), sums=sigmas)
 
@@ -108,9 +112,9 @@ class _Chain:
         (batch, size, lanes), (matrices, blocks, most, _) = given.shape, values.shape
         out = onto if onto is not None else self.device.empty(
             (batch // sums, lanes, rows) if turned else (batch // sums, rows, lanes))
-        self.device.launch("optics.far", "product", (batch // sums * blocks, -(-lanes // self.width)), given, values,
+        self.device.launch("optics.far", "product", (batch // sums * blocks, -(-lanes // self.lanes)), given, values,
                            start, count, out, int(onto is not None), int(turned), batch // sums * blocks, lanes, size,
-                           rows, blocks, most, matrices, sums, defines=self.defines)
+                           rows, blocks, most, matrices, sums, defines=self.defines, group=self.group)
         return out
 
     def _matrices(self, axis, name, of=None):

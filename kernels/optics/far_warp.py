@@ -55,22 +55,23 @@ def combine(
     weights: wp.array3d[float],
     # out:
     out: wp.array3d[float],
+    # params:
+    each: int,
     # sizes:
     places: int,
     size: int,
     count: int,
     sigmas: int,
 ):
-    place, at = wp.tid()
-    channel = place / sigmas
-    sigma = place % sigmas
+    group, at = wp.tid()
     lanes = planes.shape[2]
     y = at / lanes
     x = at % lanes
-    total = float(0.0)
-    for plane in range(count):
-        total += weights[channel, plane, sigma] * planes[plane, y, x]
-    out[place, y, x] = total
+    for place in range(group * each, wp.min((group + 1) * each, places)):
+        total = float(0.0)
+        for plane in range(count):
+            total += weights[place / sigmas, plane, place % sigmas] * planes[plane, y, x]
+        out[place, y, x] = total
 
 
 @wp.kernel
