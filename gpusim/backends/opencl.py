@@ -22,7 +22,9 @@ from gpusim.domain.memory import Pinned
 PAGE = 4096
 # Of memory, by drivers; a buffer's size is called invalid where it is more than one buffer may have
 REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_MEMORY", "INVALID_BUFFER_SIZE")
-CPU_GROUP = 128  # work-items of a CPU work-group: whole vectors of any width, little overhead per group
+# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then what
+# remains. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
+CPU_GROUPS = (128, 8, 1)
 
 
 class OpenCLDevice(Taped):
@@ -223,7 +225,7 @@ class OpenCLDevice(Taped):
 
         A GPU gets one launch, rounded up to whole groups: its kernels return outside the grid (GUARD). On a CPU such a
         return stops PoCL from vectorising (3.5x, measured), so GUARD is empty there and the grid is exact: whole
-        vectors first, then what remains of the fastest axis.
+        vectors first, then what remains of the fastest axis, in the same few groups for frames of all sizes.
         """
         origin = (0,) * len(grid)
         if group is None and self.is_gpu:
@@ -231,13 +233,12 @@ class OpenCLDevice(Taped):
         if group is not None:
             return [(tuple(-(-n // g) * g for n, g in zip(grid, group, strict=True)), tuple(group), origin)]
         *outer, fastest = grid
-        rest = fastest % CPU_GROUP
-        ones = (1,) * len(outer)
-        pieces = []
-        if fastest > rest:
-            pieces.append(((*outer, fastest - rest), (*ones, CPU_GROUP), origin))
-        if rest:
-            pieces.append(((*outer, rest), (*ones, rest), (*origin[1:], fastest - rest)))
+        ones, pieces, done = (1,) * len(outer), [], 0
+        for items in CPU_GROUPS:
+            more = (fastest - done) // items * items
+            if more:
+                pieces.append(((*outer, more), (*ones, items), (*origin[1:], done)))
+            done += more
         return pieces
 
     def _kernel(self, stage, kernel, defines, args):

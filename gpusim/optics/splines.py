@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array, diags_array, vstack
 
 COARSER = 4  # times a level's spacing is the next one's
 MANY = 48  # spacings of both axes from which on there are three levels, and not two
@@ -40,18 +41,27 @@ class Bands:
 
     @classmethod
     def of(cls, matrices) -> "Bands":
-        """Of dense ones, shape (matrices, rows, columns)."""
-        matrices = np.asarray(matrices)
-        is_entry = abs(matrices) > SMALLEST * np.maximum(abs(matrices).max(axis=2, keepdims=True), 1e-300)
-        start = np.where(is_entry.any(2), is_entry.argmax(2), 0)
-        count = np.where(is_entry.any(2), matrices.shape[2] - is_entry[:, :, ::-1].argmax(2) - start, 0)
+        """Of sparse ones of one shape."""
+        rows, columns = matrices[0].shape
+        start, count = np.zeros((2, len(matrices), rows), int)
+        entries = []
+        for number, matrix in enumerate(map(csr_array, matrices)):
+            matrix.sum_duplicates()  # and sorts them
+            row, size = np.repeat(np.arange(rows), np.diff(matrix.indptr)), abs(matrix)
+            is_entry = size.data > SMALLEST * np.maximum(size.max(axis=1).toarray().ravel(), 1e-300)[row]
+            row, column, value = row[is_entry], matrix.indices[is_entry], matrix.data[is_entry]
+            ends = np.searchsorted(row, np.arange(rows + 1))
+            there = ends[1:] > ends[:-1]
+            start[number, there] = column[ends[:-1][there]]
+            count[number, there] = column[ends[1:][there] - 1] + 1 - start[number, there]
+            entries.append((row, column, value))
         most = max(int(count.max(initial=1)), 1)
-        first = np.minimum(start, matrices.shape[2] - most)  # so that `most` entries from there on are the matrix's
+        first = np.minimum(start, columns - most)  # so that `most` entries from there on are the matrix's
         start, count = first, start + count - first
-        at = start[..., None] + np.arange(most)
-        values = np.take_along_axis(matrices, at, 2) * (at < (start + count)[..., None])
-        return cls(start.astype(np.int32), count.astype(np.int32), np.ascontiguousarray(values, np.float32),
-                   matrices.shape[2])
+        values = np.zeros((len(matrices), rows, most), np.float32)
+        for own, begin, (row, column, value) in zip(values, start, entries, strict=True):
+            own[row, column - begin[row]] = value
+        return cls(start.astype(np.int32), count.astype(np.int32), values, columns)
 
     def in_blocks(self, rows: int) -> "Blocks":
         """The same, so many rows of a matrix at a time."""
@@ -122,9 +132,8 @@ class Axis:
     @cached_property
     def analysis(self) -> Bands:
         """To the first level: the first sample, d_-1 .. of the axis alone, the last sample."""
-        ends = np.zeros((2, self.n))
-        ends[0, 0] = ends[1, -1] = 1
-        return Bands.of([np.vstack([ends[:1], self._splines(np.arange(self.n)).T / self._sums[:, None], ends[1:]])])
+        first, last = (csr_array(([1.0], ([0], [at])), shape=(1, self.n)) for at in (0, self.n - 1))
+        return Bands.of([vstack([first, diags_array(1 / self._sums) @ self._splines(np.arange(self.n)).T, last])])
 
     def synthesis(self, margin: int = 0) -> Bands:
         """From the coefficients c_-2 .. of the first level to samples, without `margin` of them on each side.
@@ -135,33 +144,34 @@ class Axis:
 
     def restriction(self, level: int) -> Bands:
         """From what a level has, see `_world`, to d_-2 .. of the next one, of the world without end."""
-        world = self._world(level, 4 * COARSER)
-        return Bands.of([np.stack([MASK @ world[at - 6 : at + 7] for at in
-                                   4 * COARSER + COARSER * np.arange(-2, self.size(level + 1) + 3)])])
+        world, count = self._world(level, 4 * COARSER), self.size(level + 1) + 5
+        at = 4 * COARSER + COARSER * np.arange(-2, count - 2)
+        return Bands.of([_banded(at - 6, np.broadcast_to(MASK, (count, 13)), world.shape[0]) @ world])
 
     def prolongation(self, level: int) -> Bands:
         """From the next level's coefficients c_-2 .. to a level's."""
-        apart = np.arange(-2, self.size(level) + 3)[:, None] - COARSER * np.arange(-2, self.size(level + 1) + 3)
-        return Bands.of([np.where(abs(apart) <= 6, MASK[np.clip(apart + 6, 0, 12)], 0)])
+        count, splines = self.size(level + 1) + 5, self.size(level) + 5
+        at = COARSER * np.arange(-2, count - 2) + 2
+        return Bands.of([_banded(at - 6, np.broadcast_to(MASK, (count, 13)), splines).T])
 
     def filters(self, level: int) -> Bands:
         """Coefficients c_-2 .. from what a level has, of its Gaussians."""
         found, size, step = [], self.size(level), self.n / self.size(level)
         for sigma in self.sigmas[self.of_level(level)]:
             if np.isinf(sigma):
-                found.append(np.tile(self._limit(level, step), (size + 5, 1)))
+                found.append(csr_array(np.tile(self._limit(level, step), (size + 5, 1))))
                 continue
             half = int(np.ceil(SPREAD * sigma / step))
             taps, world = _taps(sigma / step, half) / step, self._world(level, half + 2)
-            rows = np.arange(half, half + size + 5)[:, None] + np.arange(-half, half + 1)
-            dense = np.zeros((size + 5, len(world)))
-            np.put_along_axis(dense, rows, taps[None], 1)
-            found.append(dense @ world)
+            found.append(_banded(np.arange(size + 5), np.broadcast_to(taps, (size + 5, len(taps))),
+                                 world.shape[0]) @ world)
         return Bands.of(found)
 
     def _splines(self, at, more=1):
-        """Splines -more .. fine + more of the first level at samples, shape (samples, fine + 2 more + 1)."""
-        return _cubic((np.asarray(at)[:, None] + 0.5) / self.step - np.arange(-more, self.size(0) + more + 1))
+        """Splines -more .. fine + more of the first level at samples, sparse (samples, fine + 2 more + 1)."""
+        place = (np.asarray(at) + 0.5) / self.step + more
+        first = np.floor(place).astype(int) - 1
+        return _banded(first, _cubic(place[:, None] - first[:, None] - np.arange(4)), self.size(0) + 2 * more + 1)
 
     @cached_property
     def _sums(self):
@@ -170,28 +180,34 @@ class Axis:
                              ).sum(axis=0) / self.step
 
     def _world(self, level, more):
-        """d_i of the world without end, i = -more .. size + more, from what a level has.
+        """d_i of the world without end, i = -more .. size + more, from what a level has, sparse.
 
         The first has what `analysis` gives, the others d_-2 .. of that world.
         """
         size = self.size(level)
-        i, inside = np.arange(-more, size + more + 1), np.arange(-1, size + 2)
+        i = np.arange(-more, size + more + 1)
+        rows, shape = np.arange(len(i)), (len(i), size + 5)
         if level:
             if self.border == "reflect":
                 i = abs((i + size) % (2 * size) - size)
-            return (np.clip(i, -2, size + 2)[:, None] == np.arange(-2, size + 3)) * 1.0
-        world = np.zeros((len(i), size + 5))
+            return csr_array((np.ones(len(i)), (rows, np.clip(i, -2, size + 2) + 2)), shape=shape)
         if self.border == "reflect":
-            for image in (i[:, None] - inside, -i[:, None] - inside):
-                world[:, 1:-1] += image % (2 * size) == 0
-            return world
-        world[:, 1:-1] = i[:, None] == inside
+            images = np.concatenate([i % (2 * size), i % (2 * size) - 2 * size,
+                                     -i % (2 * size), -i % (2 * size) - 2 * size])
+            there = (images >= -1) & (images <= size + 1)
+            return csr_array((np.ones(there.sum()), (np.tile(rows, 4)[there], images[there] + 2)), shape=shape)
+        there = (i >= -1) & (i <= size + 1)
+        entries = [(np.ones(there.sum()), rows[there], i[there] + 2)]
         if self.border == "edge":
             beyond = int(np.ceil(3 * self.step)) + 1
-            for column, at in ((0, np.arange(-beyond, 0)), (-1, np.arange(self.n, self.n + beyond))):
-                world[more - 1 : more + size + 2, column] = self._splines(at).sum(axis=0) / self._sums
-            world[: more - 1, 0] = world[more + size + 2 :, -1] = self.step
-        return world
+            near = slice(more - 1, more + size + 2)
+            for column, at, far in ((0, np.arange(-beyond, 0), rows[: more - 1]),
+                                    (size + 4, np.arange(self.n, self.n + beyond), rows[more + size + 2 :])):
+                for values, of in ((self._splines(at).sum(axis=0) / self._sums, rows[near]),
+                                   (np.full(len(far), self.step), far)):
+                    entries.append((values, of, np.full(len(of), column)))
+        values, row, column = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+        return csr_array((values, (row, column)), shape=shape)
 
     def _limit(self, level, step):
         """Weights of what a level has in what an infinitely wide Gaussian gives."""
@@ -200,9 +216,9 @@ class Axis:
             return np.zeros(size + 5)
         if self.border == "edge":
             world = self._world(level, size + 8)
-            return (world[0] + world[-1]) / (2 * step)
+            return (world[[0]] + world[[-1]]).toarray().ravel() / (2 * step)
         world = self._world(level, 0)  # a period of the mirrored world twice, but its ends
-        return (world.sum(axis=0) - (world[0] + world[-1]) / 2) / (size * step)
+        return (world.sum(axis=0) - (world[[0]] + world[[-1]]).toarray().ravel() / 2) / (size * step)
 
 
 def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
@@ -232,6 +248,14 @@ def multiplications(shape: tuple[int, int], planes: int, channels: int, sigmas: 
             taps = np.minimum(2 * SPREAD * part * axis.size(level) / axis.n, axis.splines(level))
             total += channels * area * taps.sum()
     return float(total)
+
+
+def _banded(first, values, columns):
+    """Sparse matrix whose rows have `values` (rows, entries) from the columns `first` on, where these are within."""
+    at = np.asarray(first)[:, None] + np.arange(values.shape[1])
+    there = (at >= 0) & (at < columns)
+    ends = np.append(0, np.cumsum(there.sum(axis=1)))
+    return csr_array((values[there], at[there], ends), shape=(len(at), columns))
 
 
 def _cubic(x):

@@ -9,13 +9,16 @@ import re
 import shutil
 import subprocess
 import sys
+from math import prod
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from devices import KINDS
 
 from gpusim.backends import pocl, probe
+from gpusim.backends.opencl import CPU_GROUPS, OpenCLDevice
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
 from gpusim.kernels.sensor.pattern import pattern
@@ -31,6 +34,15 @@ values = np.arange(300, dtype=np.float32)
 target = device.empty((300,))
 device.launch("common.copy", "copy", (300,), device.array(values), target, 300)
 assert np.array_equal(device.numpy(target), values)
+"""
+
+
+FRAMES = """
+import sys
+import gpusim as gs
+simulator = gs.Simulator(gs.open_camera("phone"), device=sys.argv[1], tolerance=1e-3)
+for size in sys.argv[2:]:
+    simulator(gs.chart("deadleaves", size=tuple(map(int, size.split("x"))))).rgb
 """
 
 
@@ -178,6 +190,35 @@ def test_kernels_that_cannot_be_kept_are_built(device, tmp_path):
     (tmp_path / "file").write_text("")
     found = run(COPY, device, **kept_in(tmp_path / "file"))
     assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.parametrize("grid", [(1,), (127,), (128,), (1000,), (3, 137), (5, 128), (2, 3, 263)])
+def test_a_cpu_does_a_grid_once_in_groups_of_few_sizes(grid):
+    done = np.zeros(grid, int)
+    for size, group, offset in OpenCLDevice._pieces(SimpleNamespace(is_gpu=False), grid, None):
+        assert group[-1] in CPU_GROUPS and prod(group) == group[-1] and size[-1] % group[-1] == 0
+        done[tuple(slice(first, first + count) for first, count in zip(offset, size, strict=True))] += 1
+    assert (done == 1).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", KINDS)
+def test_nothing_is_compiled_for_another_size(device, tmp_path):
+    """Of frames by tiles, whose transforms have one length: the first two sizes take groups of all sizes.
+
+    PoCL compiles anew for more than 2^16 work-items.
+    """
+    folders = kept_in(tmp_path)
+
+    def kernels():
+        return {path for kind in ("*.so", "*.o", "*.cubin", "*.ptx") for path in tmp_path.rglob(kind)}
+
+    assert run(FRAMES, device, "203x131", "331x260", **folders).returncode == 0
+    before = kernels()
+    if not before:
+        pytest.skip("its driver keeps what it compiled where nobody can count it")
+    assert run(FRAMES, device, "211x143", "310x230", **folders).returncode == 0
+    assert kernels() == before
 
 
 def driver_that_sees(folder, **makers):
