@@ -230,8 +230,11 @@ def _guaranteed(question, response, flat, planes, probes):
             return Planes(flat, operator.table @ question.content.entry_spectra.T,
                           np.ones(operator.transfers.shape[:2]), operator.transfers)
 
-        yield Way(count * channels, probes.local(operator.bound),
-                  f"{count} planes a channel, right for every spectrum, in place of {bands}", make)
+        bound = probes.local(operator.bound)
+        yield Way(count * channels, bound, f"{count} planes a channel, right for every spectrum, in place of {bands}",
+                  make)
+        if SAFETY * bound.ratio(question.tolerance) < ENOUGH:
+            return
 
 
 def prior_of(question: Question) -> np.ndarray:
