@@ -11,13 +11,14 @@ PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 
 
-def scene_of(arguments):
-    """The scene that a command was given. Raises BadFile, BadData, OutOfRange, UnknownName."""
+def scene_of(arguments, name: str | None = None):
+    """The scene that a command was given, or one of several. Raises BadFile, BadData, OutOfRange, UnknownName."""
     from gpusim.io.scenes import open_scene
 
     bands = dict(_named(text) for text in arguments.band)
-    return open_scene(arguments.scene, size=arguments.size, light=arguments.light, luminance=arguments.luminance,
-                      bands=bands, border=arguments.border, samples_per_pixel=arguments.samples_per_pixel)
+    return open_scene(arguments.scene if name is None else name, size=arguments.size, light=arguments.light,
+                      luminance=arguments.luminance, bands=bands, border=arguments.border,
+                      samples_per_pixel=arguments.samples_per_pixel)
 
 
 def operated(camera, arguments):
@@ -110,10 +111,12 @@ def _add_operation(command):
                           "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
 
 
-def add_asked(command):
-    """Add the options of a scene before a camera."""
-    command.add_argument("scene", metavar="SCENE", help="a chart (colorchecker, slanted-edge, ramp, flat, points, "
-                          "deadleaves, sweep) or a file: spectral .exr, .npz, photograph .png or .jpg")
+def add_asked(command, several: bool = False):
+    """Add the options of a scene before a camera, or of several scenes."""
+    more = "; several, or a folder of numbered ones: a frame of each" if several else ""
+    command.add_argument("scene", metavar="SCENE", **({"nargs": "+"} if several else {}), help="a chart (colorchecker, "
+                         "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, "
+                         f"photograph .png or .jpg{more}")
     command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
     command.add_argument("--device", default="auto", help=DEVICE_HELP)
     command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")

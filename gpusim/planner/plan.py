@@ -107,6 +107,10 @@ class Plan:
         """The options that were cheaper, or more accurate, from the cheapest on; computed when it is asked for."""
         return self.tell_front()
 
+    def __getstate__(self):
+        """Its fields and its front; what this is computed from is not pickled."""
+        return {**self.__dict__, "front": self.front, "tell_front": tuple}
+
     @property
     def count(self) -> int:
         """Planes that are blurred."""

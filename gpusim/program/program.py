@@ -6,6 +6,7 @@ from functools import partial
 from math import prod
 from typing import Any
 
+from gpusim.domain.account import Account
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -357,10 +358,18 @@ class Program:
         exposure = self.exposure
         if not self._does():
             exposure = self.exposure
-        if exposure.plan.scene is not self.scene:
-            plan = self.before.probing.told(exposure.plan, self.scene, self._drift)
-            exposure = dataclasses.replace(exposure, plan=plan)
+        exposure = dataclasses.replace(exposure, plan=self._told(exposure.plan))
         return Shots(self.simulator, exposure, self.kept).frame(seed=seed, frame=frame)
+
+    @property
+    def account(self) -> Account:
+        """Predicted errors of the scene's exposure, by what is known of it so far."""
+        exposure = self._exposed()
+        return self._told(exposure.plan).account.at(exposure.exposure_time)
+
+    def _told(self, plan):
+        """A plan with what it is predicted to err in the scene."""
+        return plan if plan.scene is self.scene else self.before.probing.told(plan, self.scene, self._drift)
 
 
 def chip_mean(simulator, mean, seconds, kept):

@@ -1,0 +1,180 @@
+"""`gpusim video`: a frame of every scene, as numbered files or an encoded video."""
+
+import argparse
+import time
+from fractions import Fraction
+from pathlib import Path
+
+from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.options import add_asked, operated, scene_of, whole
+from gpusim.video.segments import LENGTH, Shard, segments_of
+
+MOST_FRAMES = 10**7
+FASTEST = 10**5  # [frame/s]
+OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
+           "seed", "segment")  # beside camera and scenes that frames depend on
+
+
+def add_command(commands):
+    """Add `video` to the subparsers of `gpusim`; its default `run` is `video`."""
+    parser = commands.add_parser("video", help="a frame of every scene, or of one scene again and again, as numbered "
+                                 "files or an encoded video; goes on where it was interrupted")
+    add_asked(parser, several=True)
+    parser.add_argument("-o", "--out", required=True, metavar="OUT", help=".mp4 or .mkv, or numbered files: .png, "
+                        ".exr, .dng, .npz (a.png gives a_0000.png ...)")
+    parser.add_argument("--frames", type=whole(1, MOST_FRAMES), metavar="N", help="of one scene, or the first ones of "
+                        "a video (default: one for each scene, all of a video)")
+    parser.add_argument("--fps", type=_rate, default=Fraction(30), metavar="RATE", help="frames per second, such as "
+                        "24, 29.97 or 30000/1001; no exposure is longer than a frame (default: 30)")
+    parser.add_argument("--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
+    parser.add_argument("--codec", metavar="NAME", help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, "
+                        ".mkv), ffv1-linear (linear RGB, 16 bit, .mkv) (default: h264)")
+    parser.add_argument("--quality", type=_quality, metavar="CRF", help="constant rate factor of h264 and h265, "
+                        "0 .. 51, lower is better (default: the encoder's)")
+    parser.add_argument("--shard", type=Shard.parse, default=Shard(), metavar="I/N", help="make part I of N alone, I "
+                        "from 0 on; all parts together are what one run makes")
+    parser.add_argument("--segment", type=whole(1, MOST_FRAMES), default=LENGTH, metavar="N", help="frames that are "
+                        f"made independently of all others (default: {LENGTH})")
+    parser.add_argument("--transfer", metavar="NAME", help="what the codes of a video stand for, in place of its tag: "
+                        "bt709, srgb, pq, hlg, linear, gamma2.2, gamma2.8")
+    parser.add_argument("--any-order", action="store_true", help="take scene files as they are given, whatever their "
+                        "numbers")
+    parser.set_defaults(run=video)
+
+
+def _rate(text):
+    try:
+        rate = Fraction(text).limit_denominator(1001)
+    except (ValueError, ZeroDivisionError):
+        rate = Fraction(0)
+    if not 0 < rate <= FASTEST:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted frames per second, such as 24, 29.97 or 30000/1001")
+    return rate
+
+
+def _quality(text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 51:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted a number, 0 .. 51")
+    return value
+
+
+def video(arguments) -> int:
+    """Run `gpusim video`; returns the exit status. Raises GpusimError."""
+    from tqdm import tqdm
+
+    from gpusim.data.cameras import open_camera
+    from gpusim.simulator import Simulator
+    from gpusim.video.video import EncodedFile, within_period
+
+    path = Path(arguments.out)
+    scenes = _scenes(arguments)
+    camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
+    simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
+                          guaranteed=arguments.guaranteed, strict=arguments.strict)
+    segments = segments_of(scenes.count, arguments.segment)
+    own = arguments.shard.of(segments)
+    target = _target(path, arguments, simulator, scenes, segments)
+    begun, worst, count, is_met = time.perf_counter(), None, 0, True
+    total = sum(len(segment) for segment in own)
+    with tqdm(total=total, unit="frame", disable=None) as bar:
+        for one in target.write(simulator, scenes, own, arguments.seed):
+            count += 1
+            error = one.account.total.rms
+            worst = error if worst is None else max(worst, error)
+            if simulator.tolerance is not None:
+                is_met = is_met and one.account.verdict(simulator.tolerance).met
+            bar.set_postfix_str(f"worst error {worst:.2g}", refresh=False)
+            bar.update()
+    seconds = time.perf_counter() - begun
+    if count:
+        print(f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s; worst predicted error {worst:.2g} "
+              "relative rms" + ("" if simulator.tolerance is None else
+                                f"; tolerance {'met' if is_met else 'NOT met'}"))
+    if count < total:
+        print(f"{total - count} frames were there already")
+    if isinstance(target, EncodedFile):
+        print(str(path) if target.finish() else f"{path} is made by the last of the shards")
+    return 0 if is_met else 1
+
+
+def _scenes(arguments):
+    """What the frames show. Raises BadFile, BadData and what `open_scene` does."""
+    from gpusim.video.film import SUFFIXES, Film
+    from gpusim.video.scenes import Files, First, Still, check_numbers, numbered_files
+
+    names, films = arguments.scene, [name for name in arguments.scene if Path(name).suffix.lower() in SUFFIXES]
+    if films and len(names) > 1:
+        raise BadFile(films[0], "a video among several scenes; give it alone")
+    if arguments.transfer is not None and not films:
+        raise OutOfRange("--transfer", arguments.transfer, f"for videos alone ({', '.join(SUFFIXES)})")
+    if films:
+        if arguments.size or arguments.band:
+            raise OutOfRange("--size, --band", "given", "neither for a video, which has its own size and colours")
+        options = {name: getattr(arguments, name) for name in ("light", "luminance", "border", "samples_per_pixel")}
+        film = Film(Path(names[0]), arguments.transfer,
+                    **{name: value for name, value in options.items() if value is not None})
+        return film if arguments.frames is None else First(film, arguments.frames)
+    if len(names) == 1 and Path(names[0]).is_dir():
+        paths = numbered_files(Path(names[0]))
+    elif len(names) == 1:
+        return Still(scene_of(arguments, names[0]), arguments.frames or 1)
+    else:
+        paths = [Path(name) for name in names]
+    if arguments.frames is not None:
+        raise OutOfRange("--frames", arguments.frames, f"for one scene; {len(paths)} scenes make as many frames")
+    if not arguments.any_order:
+        check_numbers(paths)
+    return Files(paths, lambda path: scene_of(arguments, str(path)))
+
+
+def _target(path, arguments, simulator, scenes, segments):
+    """What is written, its manifest checked. Raises BadFile, UnknownName, OutOfRange."""
+    import dataclasses
+
+    from gpusim import __version__
+    from gpusim.io.atomic import check_output
+    from gpusim.io.frames import FORMATS, check_format
+    from gpusim.video.codecs import CONTAINERS, Encoder, codec_of
+    from gpusim.video.manifest import digest, keep
+    from gpusim.video.video import EncodedFile, NumberedFiles
+
+    camera, suffix = simulator.camera, path.suffix.lower()
+    made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names, "frames": scenes.count,
+            "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
+            "device": f"{simulator.device.kind}: {simulator.device.name}"}
+    if suffix in CONTAINERS:
+        codec, sensor = codec_of(path, arguments.codec), simulator.readout.output
+        if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
+            raise OutOfRange("raw values of an encoded video", "stacked pixels" if sensor.stacked else
+                             f"{sensor.bits} bits", "one mosaic of up to 16 bits; .npz files hold any")
+        first = next(scenes.between(0, 1))
+        encoder = Encoder(codec, simulator.readout.output_shape(first.shape), arguments.fps, camera.display,
+                          camera.processor.tone, arguments.quality)
+        check_output(path)
+        target = EncodedFile(path, codec, encoder, segments)
+        if path.exists() and not target.folder.exists():
+            raise BadFile(path, "is there already; remove it, or give -o another name")
+        try:
+            target.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise BadFile(target.folder, f"cannot be made: {error.strerror or error}") from error
+        made |= {"fps": str(arguments.fps), "codec": arguments.codec, "quality": arguments.quality}
+        keep(target.folder / "video.json", made, f"the folder {target.folder}")
+        return target
+    if suffix not in FORMATS:
+        raise UnknownName("output format", suffix or str(path), [*CONTAINERS, *FORMATS])
+    if arguments.codec is not None or arguments.quality is not None:
+        raise OutOfRange("--codec, --quality", f"with {suffix} files", f"for {' and '.join(CONTAINERS)} alone")
+    check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
+    numbered = NumberedFiles(path, scenes.count)
+    manifest = path.with_name(f"{path.stem}_video.json")
+    check_output(manifest)
+    there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)
+    if there is not None and not manifest.exists():
+        raise BadFile(there, "is there already, and not of a video that was begun; remove it, or give -o another name")
+    keep(manifest, made, f"the files {numbered.name(0).name} ...")
+    return numbered

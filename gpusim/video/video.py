@@ -1,0 +1,158 @@
+"""Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
+
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import closing
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpusim.domain.account import Account
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import OutOfRange
+from gpusim.simulator import Simulator
+from gpusim.video.codecs import PART, Codec, Encoder
+from gpusim.video.pipeline import ahead
+from gpusim.video.scenes import Scenes
+
+READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
+
+
+@dataclass(frozen=True)
+class Made:
+    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors."""
+
+    number: int
+    values: Any
+    account: Account
+
+
+def within_period(camera: Camera, rate: Fraction) -> Camera:
+    """The camera whose automatic exposure ends with the frame's period. Raises OutOfRange for a longer one that is set.
+
+    rate: frames per second.
+    """
+    sensor, longest = camera.sensor, float(1 / rate)
+    if sensor.exposure_time is None:
+        automatic = sensor.auto_exposure
+        if automatic.longest is None or automatic.longest > longest:
+            sensor = replace(sensor, auto_exposure=replace(automatic, longest=longest))
+    elif sensor.exposure_time > longest:
+        raise OutOfRange("exposure time of a video", f"{sensor.exposure_time:.4g} s", f"up to the frame's period, "
+                         f"{longest:.4g} s at {float(rate):g} frames per second")
+    return replace(camera, sensor=sensor)
+
+
+def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], *, seed: int = 0,
+           output: str | None = None) -> Iterator[Made]:
+    """The frames that are wanted of each segment, in order.
+
+    segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
+    A camera that meters exposes each frame by the light of the one before, and the first by its own.
+    """
+    program = None
+    for first, *wanted in segments:
+        if scenes.is_still:
+            program = program or simulator.program(next(scenes.between(0, 1)))
+            yield from (_made(program, number, seed, output) for number in wanted)
+            continue
+        lead = first - (simulator.camera.sensor.exposure_time is None and first > 0)
+        with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
+            for number, scene in enumerate(arriving, lead):
+                program = (simulator.program(scene, meters_late=True) if number == lead or program is None else
+                           program.update(scene=scene))
+                if number in wanted:
+                    yield _made(program, number, seed, output)
+                else:
+                    program.account  # noqa: B018  it is exposed, for what the next frame takes of it
+        if program is not None:
+            program.judge()
+
+
+def _made(program, number, seed, output):
+    account = program.account
+    if output is None:
+        return Made(number, program.frame(seed=seed, frame=number).complete(), account)
+    values = program.output(output, seed=seed, frame=number)
+    return Made(number, np.array(program.simulator.device.numpy(values)), account)
+
+
+class NumberedFiles:
+    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on."""
+
+    def __init__(self, path: Path, count: int):
+        self._path, self._digits = path, max(4, len(str(count - 1)))
+
+    def name(self, number: int) -> Path:
+        """Of a frame."""
+        return self._path.with_name(f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}")
+
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0) -> Iterator[Made]:
+        """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
+        missing = [[segment.start, *(number for number in segment if not self.name(number).exists())]
+                   for segment in segments]
+        made = frames(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed)
+        workers = os.cpu_count() or 1
+        with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
+            writing: dict = {}
+            for one in computed:
+                writing[pool.submit(one.values.save, self.name(one.number))] = one
+                while len(writing) > workers:
+                    yield from _written(writing, wait(writing, return_when=FIRST_COMPLETED).done)
+            yield from _written(writing, wait(writing).done)
+
+
+def _written(writing, done):
+    for task in sorted(done, key=lambda task: writing[task].number):
+        one = writing.pop(task)
+        task.result()  # raises what was wrong
+        yield one
+
+
+class EncodedFile:
+    """A file of all frames, made of a file for each segment, in a folder beside it until all are there."""
+
+    def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range]):
+        self.path, self._codec, self._encoder, self._segments = path, codec, encoder, segments
+        self.folder = path.with_name(f"{path.name}.parts")
+
+    def part(self, segment: range) -> Path:
+        """The file of a segment."""
+        return self.folder / f"{segment.start:08d}{PART}"
+
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0) -> Iterator[Made]:
+        """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
+        missing = [segment for segment in segments if not self.part(segment).exists()]
+        made = frames(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
+                      output=self._codec.output)
+        with closing(ahead(made, COMPUTED)) as computed:
+            for segment in missing:
+                taken: list[Made] = []
+                yield from self._encoded(segment, computed, taken)
+
+    def _encoded(self, segment, computed, taken):
+        """Encode a segment; gives its frames when it is complete."""
+        def values():
+            for one in computed:
+                taken.append(one)
+                yield one.values
+                if one.number == segment[-1]:
+                    return
+
+        self._encoder.segment(self.part(segment), values())
+        yield from taken
+
+    def finish(self) -> bool:
+        """Join the segments where all are there, and remove them. Returns whether they were."""
+        parts = [(segment.start, self.part(segment)) for segment in self._segments]
+        if not all(part.exists() for _, part in parts):
+            return False
+        self._encoder.join(self.path, parts)
+        for path in self.folder.iterdir():
+            path.unlink()
+        self.folder.rmdir()
+        return True

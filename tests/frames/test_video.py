@@ -1,0 +1,339 @@
+"""Videos: what is resumed or made in parts is what one run makes, and what is decoded is what was encoded."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from cameras import PHONE
+from devices import KINDS
+from PIL import Image
+
+import gpusim as gs
+from gpusim.cli import main
+from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.video.codecs import CODECS, Encoder
+from gpusim.video.film import TRANSFERS, Film, light_of
+from gpusim.video.pipeline import ahead
+from gpusim.video.segments import Shard, segments_of
+from gpusim.video.video import within_period
+
+av = pytest.importorskip("av")
+COUNT = 8
+ASKED = ["--camera", "phone", "--seed", "3", "--segment", "3"]
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """A folder of photographs whose light grows and whose colours change, so that exposure and plans follow."""
+    folder = tmp_path_factory.mktemp("pictures")
+    random = np.random.default_rng(4)
+    for number in range(COUNT):
+        picture = random.random((24, 36, 3)) ** (3 - number / 4)
+        picture[:, : 4 * number] *= (1, 0.3, 0.1)
+        Image.fromarray(np.uint8(255 * picture)).resize((72, 48)).save(folder / f"in_{number + 7:03d}.png")
+    return folder
+
+
+def made(capsys, *arguments):
+    """What a command that succeeds prints."""
+    assert main(["video", *map(str, arguments)]) == 0, capsys.readouterr().err
+    return capsys.readouterr().out
+
+
+def refused(capsys, *arguments):
+    """What a command that is refused says: one line."""
+    assert main(["video", *map(str, arguments)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".json")}
+
+
+@pytest.mark.parametrize("suffix", [".png", ".dng"])
+@pytest.mark.parametrize("device", ["numpy", *KINDS])
+def test_resumed_and_in_parts_are_the_frames_of_one_run(device, suffix, pictures, tmp_path, capsys):
+    if device == "numpy" and suffix == ".dng":
+        pytest.skip("the reference is slow, and one format is enough")
+    asked = [pictures, "--device", device, "--exposure", "auto", *ASKED]
+    if device != "numpy":
+        asked += ["--tolerance", "video"]
+    whole, resumed, parts = (tmp_path / name for name in ("whole", "resumed", "parts"))
+    for folder in (whole, resumed, parts):
+        folder.mkdir()
+    made(capsys, *asked, "-o", whole / f"a{suffix}")
+    expected = files(whole)
+    assert len(expected) == COUNT and len(set(expected.values())) == COUNT
+
+    made(capsys, *asked, "-o", resumed / f"a{suffix}")
+    for number in (1, 4, 5):
+        (resumed / f"a_{number:04d}{suffix}").unlink()
+    assert "5 frames were there" in made(capsys, *asked, "-o", resumed / f"a{suffix}")
+    assert files(resumed) == expected
+
+    for shard in ("2/3", "0/3", "1/3"):
+        made(capsys, *asked, "-o", parts / f"a{suffix}", "--shard", shard)
+    assert files(parts) == expected
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys):
+    """Of a scene that rests: its exposure is metered once."""
+    scene = gs.chart("deadleaves", size=(72, 48))
+    simulator = gs.Simulator(within_period(gs.open_camera("phone"), Fraction(30)), device=device, tolerance="video")
+    asked = ["deadleaves", "--size", "72x48", "--device", device, "--tolerance", "video", "--frames", "7", *ASKED]
+    program = simulator.program(scene)
+    for codec, output in (("ffv1-raw", "raw"), ("ffv1-linear", "linear")):
+        path = tmp_path / f"{codec}.mkv"
+        for shard in ("1/2", "0/2"):
+            made(capsys, *asked, "-o", path, "--codec", codec, "--shard", shard)
+        assert path.exists() and not path.with_name(path.name + ".parts").exists()
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            found = [frame.to_ndarray() for frame in container.decode(stream)]
+            assert abs(stream.average_rate - 30) < 0.01
+        assert len(found) == 7
+        for number, frame in enumerate(found):
+            values = np.array(simulator.device.numpy(program.output(output, seed=3, frame=number)))
+            if output == "linear":
+                values = np.rint(65535 * np.clip(np.moveaxis(values, 0, -1).astype(np.float64), 0, 1))
+                assert np.abs(frame - values).max() <= 1  # float32 products round
+            else:
+                assert np.array_equal(frame, values)
+
+
+def decoded(path):
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        context = stream.codec_context
+        frames = [(frame.pts * frame.time_base, frame.to_ndarray()) for frame in container.decode(stream)]
+        return frames, (context.color_primaries, context.color_trc, context.colorspace, context.color_range)
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_an_encoded_video_in_parts_is_that_of_one_run(codec, suffix, pictures, tmp_path, capsys):
+    asked = [pictures, "--device", "numpy", "--codec", codec, "--quality", "6", "--exposure", "1/40", "--fps", "25",
+             *ASKED]
+    whole, parts = tmp_path / f"whole{suffix}", tmp_path / f"parts{suffix}"
+    made(capsys, *asked, "-o", whole)
+    for shard in ("0/2", "1/2"):
+        made(capsys, *asked, "-o", parts, "--shard", shard)
+    (one, tags), (other, _) = decoded(whole), decoded(parts)
+    assert len(one) == COUNT and tags == (1, 13, 1, 1)
+    for number, ((at, frame), (its, again)) in enumerate(zip(one, other, strict=True)):
+        assert abs(at - number / 25) < 2e-3 and abs(its - at) < 2e-3  # Matroska counts milliseconds
+        assert np.array_equal(frame, again)
+
+    simulate = gs.Simulator(replace(gs.open_camera("phone"), sensor=replace(
+        gs.open_camera("phone").sensor, exposure_time=1 / 40)), device="numpy")
+    codes = simulate(gs.open_scene(pictures / "in_007.png"), seed=3).rgb / 255.0
+    luma = codes @ (0.2126, 0.7152, 0.0722)  # BT.709-6, 3.2; 219 steps from 16 on
+    scale = 4 if codec == "h265" else 1
+    frame = one[0][1][: len(codes)] / scale
+    assert np.sqrt(np.mean((frame - 16 - 219 * luma) ** 2)) < 2.5 and abs(np.mean(frame - 16 - 219 * luma)) < 0.3
+
+
+def test_light_of_codes_is_that_of_the_standards():
+    colour = pytest.importorskip("colour")
+    code = np.arange(1024) / 1023
+    models = colour.models
+    for name, expected in (("bt709", models.oetf_inverse_BT709(code)), ("srgb", models.eotf_sRGB(code)),
+                           ("pq", models.eotf_ST2084(code) / 203), ("gamma2.2", code**2.2), ("linear", code),
+                           ("hlg", models.oetf_inverse_BT2100_HLG(code) / models.oetf_inverse_BT2100_HLG(0.75))):
+        found = light_of(name, 1023)
+        # BT.709's two parts meet to 1e-4 where they are joined; constants of the standards have 4 to 8 digits
+        assert np.abs(found - expected).max() < 2e-4 * max(1, expected.max()), name
+    assert set(TRANSFERS.values()) == {"bt709", "srgb", "pq", "hlg", "linear", "gamma2.2", "gamma2.8"}
+
+
+def film(path, frames, codec, stored, given, tags):
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options={"qp": "0"} if codec == "libx264rgb" else {})
+        stream.width, stream.height, stream.pix_fmt = frames[0].shape[1], frames[0].shape[0], stored
+        context = stream.codec_context
+        context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
+        for number, values in enumerate(frames):
+            frame = av.VideoFrame.from_ndarray(values, format=given)
+            frame.pts = number
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+@pytest.mark.parametrize(("bits", "tag"), [(8, 1), (8, 13), (16, 16), (16, 18), (16, 8)])
+def test_a_film_is_read_as_its_tags_say(bits, tag, tmp_path):
+    random, kind = np.random.default_rng(1), np.uint8 if bits == 8 else np.uint16
+    codes = [random.integers(0, 2**bits, (40, 56, 3)).astype(kind) for _ in range(5)]
+    path = tmp_path / "a.mkv"
+    codec, pixels = ("libx264rgb", "rgb24") if bits == 8 else ("ffv1", "gbrp16le")
+    film(path, codes, codec, pixels, pixels, (1, tag, 0, 2))
+    found = Film(path, luminance=50.0)
+    assert found.count == 5
+    for first, end in ((0, 5), (3, 5), (2, 4), (0, 1)):
+        for number, scene in enumerate(found.between(first, end), first):
+            assert np.array_equal(scene.content.codes, codes[number])
+            assert np.array_equal(scene.content.curve, light_of(TRANSFERS[tag], 2**bits - 1))
+
+
+def test_wide_gamuts_become_srgb_light(tmp_path):
+    """Grey stays grey, BT.2020's green is beyond sRGB's, and its light is as the standard's primaries say."""
+    colour = pytest.importorskip("colour")
+    codes = np.zeros((8, 12, 3), np.uint16)
+    codes[:, :6], codes[:, 6:] = 32768, (30000, 40000, 35000)
+    film(tmp_path / "a.mkv", [codes], "ffv1", "gbrp16le", "gbrp16le", (9, 8, 0, 2))
+    content = next(Film(tmp_path / "a.mkv").between(0, 1)).content
+    matrix = colour.matrix_RGB_to_RGB("ITU-R BT.2020", "ITU-R BT.709", None)
+    for at, code in ((0, codes[0, 0]), (11, codes[0, 11])):
+        expected = matrix @ (code / 65535)
+        assert np.allclose(content.planes[:, 0, at], expected, atol=2e-4)  # chromaticities of three digits
+
+
+def test_codes_of_luma_and_chroma_come_back(tmp_path):
+    """A smooth picture by H.264, of the best quality: to the rounding of luma, chroma and codes."""
+    y, x = np.mgrid[:48, :64]
+    smooth = np.stack([40 + 3 * x, 60 + 2 * y, 90 + x + y], axis=-1).astype(np.uint8)
+    encoder = Encoder(CODECS["h264"], (48, 64), Fraction(24), PHONE.display, (), 0)
+    encoder.segment(tmp_path / "0.nut", [smooth] * 3)
+    encoder.join(tmp_path / "a.mp4", [(0, tmp_path / "0.nut")])
+    for scene in Film(tmp_path / "a.mp4").between(0, 3):
+        wrong = scene.content.codes.astype(int) - smooth
+        assert np.abs(wrong).max() <= 4 and np.abs(wrong.mean(axis=(0, 1))).max() < 0.3
+
+
+def test_a_killed_run_leaves_nothing_half_written_and_goes_on(pictures, tmp_path, capsys):
+    """Killed at several moments, and gone on with to the end."""
+    expected, folder = tmp_path / "whole.mkv", tmp_path / "killed"
+    folder.mkdir()
+    asked = [pictures, "--device", "numpy", "--codec", "ffv1-raw", *ASKED]
+    made(capsys, *asked, "-o", expected)
+    for seconds in (1.5, 2.5, 4.0):
+        process = subprocess.Popen([sys.executable, "-m", "gpusim", "video", *map(str, asked), "-o", folder / "a.mkv"],
+                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(seconds)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        left = {path.name for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".gpusim")}
+        assert left <= {"a.mkv", "video.json", *(f"{first:08d}.nut" for first in (0, 3, 6))}
+        if (folder / "a.mkv").exists():
+            break
+    else:
+        made(capsys, *asked, "-o", folder / "a.mkv")
+    (one, _), (other, _) = decoded(expected), decoded(folder / "a.mkv")
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(one, other, strict=True))
+
+
+def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_path, capsys):
+    out, asked = tmp_path / "out", ["--camera", "phone", "--device", "numpy"]
+    out.mkdir()
+    gap, mixed, plain = (tmp_path / name for name in ("gap", "mixed", "plain"))
+    for folder, names in ((gap, (1, 2, 4)), (mixed, (1, 2)), (plain, ())):
+        folder.mkdir()
+        for number in names:
+            Image.new("RGB", (40, 30 + 2 * number * (folder is mixed))).save(folder / f"a{number}.png")
+    (plain / "notes.txt").write_text("")
+    untagged = tmp_path / "untagged.mkv"
+    film(untagged, [np.zeros((8, 8, 3), np.uint8)], "libx264rgb", "rgb24", "rgb24", (1, 2, 0, 2))
+    png, mp4, chart = out / "a.png", out / "a.mp4", ["flat", "--size", "33x40"]
+    for words, arguments in {
+            "number 3 is missing": [gap, "-o", png], "no scene files in it": [plain, "-o", png],
+            "one size": [mixed, "-o", png, "--exposure", "1/40"], "even numbers": [*chart, "-o", mp4],
+            "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
+            "unknown output format": [*chart, "-o", out / "a.gif"],
+            "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"], "for .mp4 and .mkv": [
+                *chart, "-o", png, "--quality", "20"], "up to 2 shards": [
+                *chart, "--frames", "5", "--segment", "4", "--shard", "0/3", "-o", png],
+            "frame's period": [*chart, "--exposure", "1/20", "-o", png], "not tagged": [untagged, "-o", png],
+            "no such file": [tmp_path / "none.mp4", "-o", png], "up to 1": [
+                untagged, "--transfer", "srgb", "--frames", "2", "-o", png], "for videos alone": [
+                *chart, "--transfer", "srgb", "-o", png], "give it alone": [untagged, "flat", "-o", png],
+            "for one scene": [pictures, "--frames", "3", "-o", png],
+            "does not exist": [*chart, "-o", out / "b" / "a.png"],
+    }.items():
+        assert words in refused(capsys, *arguments, *asked), words
+        left = {path.name for path in out.rglob("*") if path.suffix != ".json" and path.is_file()}
+        assert left <= ({"a_0000.png"} if words == "one size" else set()), words  # its first frame is of the right one
+        for name in left:
+            (out / name).unlink()
+    for wrong in (["--shard", "2/2"], ["--shard", "1"], ["--fps", "0"], ["--frames", "0"], ["--quality", "60"]):
+        with pytest.raises(SystemExit) as status:
+            main(["video", "flat", *asked, "-o", str(png), *wrong])
+        assert status.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+def test_another_video_is_not_gone_on_with(tmp_path, capsys):
+    asked = ["flat", "--size", "40x30", "--frames", "2", "--device", "numpy", "-o", tmp_path / "a.png"]
+    (tmp_path / "a_0001.png").write_bytes(b"mine")
+    assert "is there already" in refused(capsys, *asked, "--camera", "phone")
+    (tmp_path / "a_0001.png").unlink()
+    made(capsys, *asked, "--camera", "phone")
+    before = files(tmp_path)
+    assert "other camera" in refused(capsys, *asked, "--camera", "mono")
+    assert "other options" in refused(capsys, *asked, "--camera", "phone", "--seed", "1")
+    (tmp_path / "a_video.json").write_text("{")
+    assert "not a manifest" in refused(capsys, *asked, "--camera", "phone")
+    assert files(tmp_path) == before
+
+
+def test_a_full_disk_is_one_line(pictures, tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("gpusim.io.atomic.os.replace", full)
+    monkeypatch.setattr("gpusim.video.manifest.os.link", lambda *_: None)
+    error = refused(capsys, "flat", "--size", "40x30", "--camera", "phone", "--device", "numpy", "-o",
+                    tmp_path / "a.mp4")
+    assert "No space left" in error and not list(tmp_path.rglob("*.mp4"))
+
+
+def test_exposure_ends_with_the_frame():
+    camera = gs.open_camera("phone")
+    automatic = replace(camera, sensor=replace(camera.sensor, exposure_time=None))
+    assert within_period(automatic, Fraction(50)).sensor.auto_exposure.longest == 0.02
+    short = replace(automatic, sensor=replace(automatic.sensor, auto_exposure=gs.AutoExposure(longest=0.001)))
+    assert within_period(short, Fraction(50)).sensor.auto_exposure.longest == 0.001
+    with pytest.raises(OutOfRange, match="period"):
+        within_period(replace(camera, sensor=replace(camera.sensor, exposure_time=0.021)), Fraction(50))
+
+
+@pytest.mark.parametrize("frames", [1, 5, 24, 25, 100])
+@pytest.mark.parametrize("length", [1, 7, 24, 200])
+def test_shards_have_every_segment_once(frames, length):
+    segments = segments_of(frames, length)
+    assert [number for segment in segments for number in segment] == list(range(frames))
+    for count in range(1, len(segments) + 1):
+        parts = [Shard(number, count).of(segments) for number in range(count)]
+        assert all(parts) and [one for part in parts for one in part] == segments
+
+
+def test_items_come_in_order_and_what_is_raised_is_raised_where_they_are_taken():
+    def some():
+        yield from range(5)
+        raise BadFile("a", "truncated")
+
+    taken = []
+    with pytest.raises(BadFile, match="truncated"):
+        for item in ahead(some(), 2):
+            taken.append(item)
+    assert taken == list(range(5))
+
+    closed = []
+
+    def endless():
+        try:
+            while True:
+                yield 0
+        finally:
+            closed.append(True)
+
+    items = ahead(endless(), 2)
+    assert next(items) == 0
+    items.close()
+    assert closed
