@@ -18,6 +18,8 @@ _PUBLIC = {
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
     "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
     "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",
+    "View": "gpusim.domain.view",
+    "Motion": "gpusim.domain.motion",
     "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
     "average": "gpusim.captures.burst", "read_nondestructively": "gpusim.captures.reads",
     "expose_moving": "gpusim.captures.moving", "autofocus": "gpusim.captures.focus",

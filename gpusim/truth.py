@@ -11,9 +11,12 @@ import dataclasses
 from math import ceil
 
 import numpy as np
-import scipy.fft
+import scipy
 
+from gpusim.domain.content import Basis
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.scene import Scene
+from gpusim.domain.view import View
 from gpusim.optics.lens import spread_radius, tail_of
 from gpusim.planner.border import at_samples, rule_of, unseen
 from gpusim.report import Error
@@ -21,6 +24,7 @@ from gpusim.truth_field import blocks, varying_rates
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
 RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least
+MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}  # of borders, as SciPy names them
 CELLS = 32  # of the coarse grid along the reach
 
 
@@ -57,6 +61,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
     simulator: the class `Simulator`, which imports this module. plan: of the frame. Raises DoesNotFit, before
     anything is allocated.
     """
+    scene = viewed(scene)
     reference = _reference(simulator, camera, scene, plan)
     own = reference.plan(scene)
     return reference.imaging.exposed(own, _rates(reference, camera, scene, own), exposure_time)
@@ -64,6 +69,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
 
 def varying_mean(simulator, camera, scene, plan, exposure_time, parts) -> list[np.ndarray]:
     """Mean electrons in parts of a frame whose blur varies over the field: see `true_mean` and `varying_rates`."""
+    scene = viewed(scene)
     plain = dataclasses.replace(camera, optics=camera.optics.on_axis())
     reference = _reference(simulator, plain, scene, plan)
     own = reference.plan(scene)
@@ -74,6 +80,25 @@ def varying_mean(simulator, camera, scene, plan, exposure_time, parts) -> list[n
     y, x = (plan.slope * (np.arange(n) - (n - 1) / 2) for n in scene.shape)
     gain = (1 + y[:, None] ** 2 + x**2) ** -2 * (1.0 if plan.falloff is None else plan.falloff)
     return [exposure_time * gain[part] * one for part, one in zip(parts, found, strict=True)]
+
+
+def viewed(scene) -> Scene:
+    """The scene that a view shows, between its samples a spline of the fifth order; itself where it is plain.
+
+    Source: Thevenaz, Blu and Unser, Interpolation revisited, IEEE Trans. Med. Imaging 19 (2000).
+    """
+    if scene.view.is_plain:
+        return scene
+    content = scene.content.on_host()
+    if content.labels is not None or content.is_spectral:  # splines overshoot, which a basis may
+        content = Basis(content.wavelengths, content.bands_at(slice(None)), np.eye(len(content.wavelengths)))
+    middle = [(n - 1) / 2 for n in content.shape]
+    y, x = np.indices(content.shape)
+    y, x = scene.view.place(y - middle[0], x - middle[1], scene.samples_per_pixel)
+    planes = np.stack([scipy.ndimage.map_coordinates(
+        plane.astype(np.float64), [y + middle[0], x + middle[1]], order=5, mode=MODES[rule_of(scene.border)])
+        for plane in content.planes])
+    return dataclasses.replace(scene, content=content.with_planes(planes), view=View())
 
 
 def _rates(reference, camera, scene, own):

@@ -32,7 +32,7 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
     if plan.watch is not None:  # of every scene that it was not made for
         entries = 1 if content.labels is not None else len(content.entry_spectra)
         work["spectral.survey"] = len(plan.watch.first) * content.shape[1] * entries
-    if plan.distortion is not None:
+    if plan.is_placed:
         work["optics.distort"] = planes * samples
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)

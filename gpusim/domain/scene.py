@@ -1,13 +1,14 @@
 """What stands in front of the camera: spectral reflectance (or radiance) apart from the light."""
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.view import View
 
 BORDERS = ("zero", "edge", "reflect", "scene")
 
@@ -40,6 +41,8 @@ class Scene:
     samples_per_pixel: scene samples along a pixel's pitch, any number from 1 on. The frame is the middle of the
         samples, as many whole pixels as fit; what is left over around it takes part in the blur.
     layers: things in front of `content`, the nearest first, for a scene that knows what they hide; it needs `depth`.
+    view: where the camera looks; what it shows takes the place of the scene, and goes on outside the frame as `border`
+        says. Not with `depth`.
     Raises BadData, OutOfRange, UnknownName.
     """
 
@@ -52,6 +55,7 @@ class Scene:
     name: str = "scene"
     samples_per_pixel: float = 1.0
     layers: tuple[Layer, ...] = ()
+    view: View = field(default_factory=View)
 
     def __post_init__(self):
         if not isinstance(self.content, Content):
@@ -77,6 +81,10 @@ class Scene:
                 raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}")
             if not (self.depth > 0).all():
                 raise BadData(f"{self.name}: depth must be positive everywhere [m]")
+        if not isinstance(self.view, View):
+            raise BadData(f"{self.name}: view {type(self.view).__name__}, wanted a View")
+        if self.depth is not None and not self.view.is_plain:
+            raise BadData(f"{self.name}: a view of a scene with depth, which is not moved with it; wanted either")
         self._check_layers()
 
     def _check_layers(self):

@@ -7,8 +7,10 @@ import numpy as np
 from gpusim.domain.distortion import Distortion, ideal
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import Microlens
+from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2)  # [pixel] between nodes, at most
+PHASES = 16  # of places between samples that stand for all
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -87,6 +89,39 @@ def distortion_grid(distortion: Distortion, shape, pitch, source_shape=None, sou
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
     return DistortionGrid(values, error, ratio, float(reach))
+
+
+def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float) -> np.ndarray:
+    """Nodes, as of a DistortionGrid, of a view of what the lens shows, (ny, nx, 3).
+
+    distortion: the lens's, None: as a pinhole. shape, source_shape: of the result and of the source [sample]. ratio:
+    samples per pixel. An affine map of cubic interpolants is that of their nodes: it adds no error.
+    """
+    if distortion is None:
+        nodes = np.zeros((4, 4, 3))
+        nodes[..., 2] = 1
+    else:
+        nodes = distortion.nodes.copy()
+    edges = [np.linspace(0, n, count) - 0.5 for n, count in zip(shape, nodes.shape[:2], strict=True)]
+    own, its = ((np.array(one) - 1) / 2 for one in (shape, source_shape))
+    middle = its if distortion is not None else own  # of what the nodes so far tell
+    y, x = (nodes[..., axis] + place - middle[axis] for axis, place in enumerate(np.ix_(*edges)))
+    y, x = view.place(y, x, ratio)
+    nodes[..., 0], nodes[..., 1] = y + its[0] - edges[0][:, None], x + its[1] - edges[1]
+    return nodes
+
+
+def keys_error(f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transfer of the cubic of `optics.distort` at frequencies [cycle/sample], over that of the displacement itself.
+
+    Its mean over places between samples, complex, and that of its square. Source: Keys 1981, see `optics.distort`.
+    """
+    phases = (np.arange(PHASES) + 0.5) / PHASES
+    k = np.arange(-1, 3)
+    t = np.abs(phases[:, None] - k)
+    weights = np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1, ((-0.5 * t + 2.5) * t - 4) * t + 2)
+    transfer = np.einsum("pk,pkf->pf", weights, np.exp(2j * np.pi * (k - phases[:, None])[..., None] * np.asarray(f)))
+    return transfer.mean(axis=0), (np.abs(transfer) ** 2).mean(axis=0)
 
 
 def _half_way(cells):

@@ -117,6 +117,11 @@ class Plan:
         return 0 if self.mix is None else self.mix.shape[-1]
 
     @property
+    def is_placed(self) -> bool:
+        """Whether samples are interpolated where the lens or the view puts them."""
+        return self.distortion is not None or not self.scene.view.is_plain
+
+    @property
     def watched(self) -> str:
         """Name of the error that `watch` tells of."""
         return "blur left out" if self.mix is None else "planes"
@@ -133,6 +138,8 @@ class Plan:
         return (own.content.is_like(scene.content) and own.content.shape == scene.content.shape
                 and (light is its or (np.array_equal(light.values, its.values)
                      and np.array_equal(light.wavelengths, its.wavelengths)))
+                and own.view.is_plain == scene.view.is_plain
+                and own.view.is_whole(own.samples_per_pixel) == scene.view.is_whole(own.samples_per_pixel)
                 and all(getattr(own, name) == getattr(scene, name)
                         for name in ("border", "margin", "fov", "samples_per_pixel")))
 
@@ -202,6 +209,8 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         blurred = question = question.limited(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
+    if not scene.view.is_plain:
+        geometry.viewed(question, probes or spectral.probes_of(question, picture, operation), notes)
     by_depth, one_distance = depth.by_depth(question)
     name, rounding = "rounding", ROUNDING if single else STORED
     if single and question.is_blurred:

@@ -26,6 +26,7 @@ NEAR = 1.1  # ways whose errors are within this factor are as good, where none i
 REMEDIES = {"transforms": "float64 would, so use device numpy",
             "rounding": "float64 would, so use device numpy",
             "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
+            "view": "a scene drawn finer, by samples_per_pixel, would be met",
             "depth": "a scene that gives its layers, or less depth, would be met"}
 
 

@@ -8,6 +8,7 @@ from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Picture
 from gpusim.domain.errors import BadData
+from gpusim.domain.view import View
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
@@ -19,6 +20,7 @@ from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.tiles import tiles
 from gpusim.kernels.sensor.collect import collect
+from gpusim.planner.geometry import view_nodes
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
@@ -36,22 +38,33 @@ class Imaging:
     def light(self, plan: Plan):
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
         table = None if plan.content.is_spectral else plan.content.entry_spectra.T
-        return self._distorted(plan, self.planes(table, self.stored(plan.content)))
+        planes = self.planes(table, self.stored(plan.content))
+        return self.placed(plan, planes, self.places(plan, plan.scene.view)) if plan.is_placed else planes
 
-    def _distorted(self, plan: Plan, planes):
-        """Planes as the distortion puts them."""
-        if plan.distortion is None:
-            return planes
-        shape = plan.scene.samples if plan.mix is None else planes.shape[1:]
-        border = "edge" if plan.scene.border == "scene" else plan.scene.border
-        return distort(planes, plan.distortion.nodes[None].astype(np.float32), shape, border, plan.distortion.method,
-                       device=self.device)
+    def places(self, plan: Plan, view: View):
+        """Where the lens and a view put the samples, for `placed`: an array of the device."""
+        if view.is_plain and plan.distortion is not None:
+            nodes = plan.distortion.nodes
+        else:
+            nodes = view_nodes(view, plan.distortion, self._seen(plan), plan.content.shape,
+                               plan.scene.samples_per_pixel)
+        return self.device.array(nodes[None])
+
+    def placed(self, plan: Plan, planes, places):
+        """Planes where the lens and the view put them; places: see `places`."""
+        method = "cubic" if plan.distortion is None else plan.distortion.method
+        return distort(planes, places, self._seen(plan), self._border(plan), method, device=self.device)
+
+    @staticmethod
+    def _seen(plan):
+        """Rows and columns that are seen: the frame's, and the margin's where there is blur to need it."""
+        return plan.scene.samples if plan.mix is None else plan.content.shape
 
     def window(self, plan: Plan):
         """The scene's samples that are of use, along both axes: all, or the frame's alone."""
         margin = plan.scene.margin
         # without blur or distortion nothing outside the frame is needed
-        inside = slice(margin, -margin) if margin and plan.mix is None and plan.distortion is None else slice(None)
+        inside = slice(margin, -margin) if margin and plan.mix is None and not plan.is_placed else slice(None)
         return inside, inside
 
     def stored(self, content, window=WHOLE):
@@ -68,7 +81,7 @@ class Imaging:
     def rates(self, plan: Plan, planes=None):
         """Electrons per second, planes (1 or C, rows, cols), and the mosaic's pattern over these planes.
 
-        planes: of the scene, before the blur, where they are known.
+        planes: before the blur, where the lens and the view put them, if they are known.
         """
         device, cfa = self.device, self.camera.sensor.cfa_indices
         if plan.mix is None or (not plan.folded and (plan.highlights is None or plan.taps is not None)):
@@ -89,7 +102,7 @@ class Imaging:
         """
         planes, margin = self._before(plan, planes), plan.scene.margin
         if plan.mix is None:
-            if margin and plan.distortion is None and tuple(planes.shape[1:]) != plan.scene.samples:
+            if margin and not plan.is_placed and tuple(planes.shape[1:]) != plan.scene.samples:
                 planes = self._inside(planes, margin)
             return self.pixels(plan, planes)
         channels = self._blurred(plan, planes)
@@ -117,10 +130,11 @@ class Imaging:
         return "edge" if plan.scene.border == "scene" else plan.scene.border
 
     def _before(self, plan, planes):
-        """Planes before the blur where the lens puts them."""
-        if planes is None:
-            planes = self.planes(plan.table, self.stored(plan.content, self.window(plan)))
-        return self._distorted(plan, planes)
+        """Planes before the blur where the lens and the view put them."""
+        if planes is not None:
+            return planes
+        planes = self.planes(plan.table, self.stored(plan.content, self.window(plan)))
+        return self.placed(plan, planes, self.places(plan, plan.scene.view)) if plan.is_placed else planes
 
     def _blurred(self, plan, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""

@@ -28,7 +28,7 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     planes = len(content.entry_spectra) if plan.table is None else len(plan.table)
     if plan.table is not None:
         total += 4 * planes * samples
-    if plan.distortion is not None:
+    if plan.is_placed:
         total += 4 * planes * samples
     if plan.mix is not None:
         total += _tables(plan) + _blur(plan, device, planes, content.shape)

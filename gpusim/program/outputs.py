@@ -42,6 +42,7 @@ def _optical(program, name):
     made = kept(f"plan of {name}", One(plan), lambda: imaging.spectral(plan) if name == "irradiance" else plan)
     stored, samples = program.stored(made)
     planes = kept(f"planes of {name}", (samples, made.table), lambda: imaging.planes(made.table, stored))
+    planes = program.placed(made, planes, f"placed planes of {name}")
     channels = kept(f"channels of {name}", (kept.one(planes), One(made)), lambda: imaging.channels(made, planes))
     time = 1.0 if name == "irradiance" else seconds
     return kept(name, (kept.one(channels), One(made), time), lambda: imaging.collected(made, channels, time))

@@ -220,7 +220,17 @@ class Program:
         stored, samples = self.stored(plan)
         planes = self.before.kept("planes", (samples, plan.table), lambda: self.simulator.imaging.planes(
             plan.table, stored))
-        return stored, samples, planes
+        return stored, samples, self.placed(plan, planes)
+
+    def placed(self, plan, planes, name: str = "placed"):
+        """Planes where the lens and the scene's view put them. name: of what is kept."""
+        if not plan.is_placed:
+            return planes
+        imaging, kept, view = self.simulator.imaging, self.before.kept, self.scene.view
+        places = kept("places", (view, plan.distortion, plan.scene.samples, plan.mix is None),
+                      lambda: imaging.places(plan, view))
+        return kept(name, (kept.one(planes), kept.one(places), plan.scene.border), lambda: imaging.placed(
+            plan, planes, places))
 
     def _rates(self, plan, planes):
         """Electrons per second, with their mosaic."""

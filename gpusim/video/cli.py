@@ -3,6 +3,7 @@
 import argparse
 import time
 from fractions import Fraction
+from math import radians
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
@@ -11,8 +12,9 @@ from gpusim.video.segments import LENGTH, Shard, segments_of
 
 MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
+# Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment")  # beside camera and scenes that frames depend on
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "fps")
 
 
 def add_command(commands):
@@ -27,6 +29,15 @@ def add_command(commands):
     parser.add_argument("--fps", type=_rate, default=Fraction(30), metavar="RATE", help="frames per second, such as "
                         "24, 29.97 or 30000/1001; no exposure is longer than a frame (default: 30)")
     parser.add_argument("--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
+    parser.add_argument("--pan", type=_pair, default=(0.0, 0.0), metavar="DOWN,RIGHT", help="camera's movement over "
+                        "the scene [pixel/s]")
+    parser.add_argument("--roll", type=_number, default=0.0, metavar="DEG_S", help="camera's turn about its axis "
+                        "[degree/s]")
+    parser.add_argument("--zoom", type=_number, default=1.0, metavar="Z", help="magnification at the first frame, "
+                        "from 1 on: 1.1 leaves a margin for a camera that moves (default: 1)")
+    parser.add_argument("--zooming", type=_number, default=1.0, metavar="FACTOR", help="by which it grows in a second")
+    parser.add_argument("--shake", type=_number, default=0.0, metavar="PIXELS", help="root mean square of a hand's "
+                        "displacement, from --seed")
     parser.add_argument("--codec", metavar="NAME", help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, "
                         ".mkv), ffv1-linear (linear RGB, 16 bit, .mkv) (default: h264)")
     parser.add_argument("--quality", type=_quality, metavar="CRF", help="constant rate factor of h264 and h265, "
@@ -52,6 +63,21 @@ def _rate(text):
     return rate
 
 
+def _number(text):
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted a number") from None
+
+
+def _pair(text):
+    try:
+        down, right = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted two numbers, DOWN,RIGHT, such as 0,20") from None
+    return down, right
+
+
 def _quality(text):
     try:
         value = float(text)
@@ -67,11 +93,16 @@ def video(arguments) -> int:
     from tqdm import tqdm
 
     from gpusim.data.cameras import open_camera
+    from gpusim.domain.motion import Motion
     from gpusim.simulator import Simulator
+    from gpusim.video.scenes import Moving
     from gpusim.video.video import EncodedFile, within_period
 
     path = Path(arguments.out)
-    scenes = _scenes(arguments)
+    scenes, motion = _scenes(arguments), Motion(arguments.pan, radians(arguments.roll), arguments.zoom,
+                                                arguments.zooming, arguments.shake, arguments.seed)
+    if motion != Motion(seed=arguments.seed):
+        scenes = Moving(scenes, motion, arguments.fps)
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, strict=arguments.strict)

@@ -2,11 +2,14 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
 from itertools import islice, repeat
 from pathlib import Path
 from typing import Protocol
 
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
+from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene
 from gpusim.io.scenes import SUFFIXES
 
@@ -62,6 +65,23 @@ class First:
         if count > scenes.count:
             raise OutOfRange("--frames", count, f"up to {scenes.count}, which {scenes.names[0]} has")
         self.count, self.names, self.between = count, scenes.names, scenes.between
+
+
+class Moving:
+    """Other scenes before a camera that moves. rate: frames per second. Raises BadData for scenes with depth."""
+
+    is_still = False
+
+    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction):
+        self._scenes, self._motion, self._period = scenes, motion, float(1 / rate)
+        self.count, self.names = scenes.count, scenes.names
+        for number in (0, self.count - 1):
+            motion.at(number * self._period)  # said before the work
+
+    def between(self, first: int, end: int) -> Iterator[Scene]:
+        """See `Scenes`."""
+        for number, scene in enumerate(self._scenes.between(first, end), first):
+            yield replace(scene, view=self._motion.at(number * self._period))
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:

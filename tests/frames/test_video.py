@@ -60,12 +60,15 @@ def files(folder):
 
 @pytest.mark.parametrize("suffix", [".png", ".dng"])
 @pytest.mark.parametrize("device", ["numpy", *KINDS])
-def test_resumed_and_in_parts_are_the_frames_of_one_run(device, suffix, pictures, tmp_path, capsys):
-    if device == "numpy" and suffix == ".dng":
-        pytest.skip("the reference is slow, and one format is enough")
+@pytest.mark.parametrize("moving", [False, True])
+def test_resumed_and_in_parts_are_the_frames_of_one_run(moving, device, suffix, pictures, tmp_path, capsys):
+    if suffix == ".dng" and (device == "numpy" or moving):
+        pytest.skip("the same frames in another format are enough once")
     asked = [pictures, "--device", device, "--exposure", "auto", *ASKED]
+    if moving:
+        asked += ["--shake", "2", "--zoom", "1.1", "--zooming", "1.3", "--pan", "10,-20", "--roll", "30"]
     if device != "numpy":
-        asked += ["--tolerance", "video"]
+        asked += ["--tolerance", "0.5" if moving else "video"]
     whole, resumed, parts = (tmp_path / name for name in ("whole", "resumed", "parts"))
     for folder in (whole, resumed, parts):
         folder.mkdir()

@@ -11,6 +11,13 @@ from gpusim.planner.question import Question
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 
+def viewed(question: Question, probes: Probes, notes: Notes):
+    """Say that the frame is a view of the scene, and what its interpolation errs."""
+    notes.bounds["view"] = probes.resampled(question.scene.view, question.ratio)
+    notes.models["optics.distort"] = ("a view of the scene, interpolated by cubics: displaced, turned or magnified as "
+                                      "each frame says")
+
+
 def distorted(question: Question, probes: Probes | None, notes: Notes) -> DistortionGrid | None:
     """The lens's distortion of the samples, the margin's where there is blur to need it; None: as a pinhole would.
 
@@ -28,5 +35,6 @@ def distorted(question: Question, probes: Probes | None, notes: Notes) -> Distor
         if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
             notes.without(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
             return None
-    notes.models["optics.distort"] = f"distortion: {made.report}"
+    seen_by = notes.models.get("optics.distort")
+    notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
     return made

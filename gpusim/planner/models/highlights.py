@@ -80,6 +80,7 @@ def split(question: Question) -> tuple[Question, Picture]:
 def _can_be_split(question):
     """Points' kernels are Airy patterns integrated over a square that the point is in the middle of."""
     optics, cell = question.optics, question.cell
-    ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None)
+    ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None
+             and question.scene.view.is_plain)
     return (question.is_blurred and not question.period and ideal and cell[0] == cell[1] and not any(question.moved)
             and (question.ratio > 1 or not question.sensor.stacked))
