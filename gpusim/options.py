@@ -73,10 +73,13 @@ def whole(low, high):
 
 
 def _time(text):
+    return text if text == "auto" else seconds_of(text)
+
+
+def seconds_of(text: str) -> float:
+    """Seconds of a time such as 1/60, 0.01, 10ms or 500us on a command line."""
     from gpusim.domain.exposure import LONGEST
 
-    if text == "auto":
-        return text
     match = TIME.fullmatch(text)
     time = float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]] if match and float(match[2] or 1) else 0.0
     if not 0 < time <= LONGEST:

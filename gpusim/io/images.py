@@ -1,5 +1,6 @@
 """8-bit pictures for display."""
 
+import io
 import struct
 
 import numpy as np
@@ -14,15 +15,22 @@ def write_png(path, image, display=DISPLAYS["srgb"]):
 
     image: uint8, shape (rows, cols, 3), or (rows, cols) grey. Raises BadData and BadFile.
     """
+    data = png_bytes(image, display, path)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
+    """The same as bytes; name: what an error says. Raises BadData."""
     from PIL import Image
 
-    image = np.asarray(image)
+    image, file = np.asarray(image), io.BytesIO()
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)) or image.size == 0:
-        raise BadData(f"{path}: a PNG needs uint8 of shape (rows, cols, 3) or (rows, cols), "
+        raise BadData(f"{name}: a PNG needs uint8 of shape (rows, cols, 3) or (rows, cols), "
                       f"got {image.dtype} {image.shape}")
-    with atomic_path(path) as temporary:  # level 6 takes six times as long for noise that does not compress
-        Image.fromarray(np.ascontiguousarray(image)).save(temporary, format="PNG", compress_level=1,
-                                                          pnginfo=_tags(display))
+    # level 6 takes six times as long for noise that does not compress
+    Image.fromarray(np.ascontiguousarray(image)).save(file, format="PNG", compress_level=1, pnginfo=_tags(display))
+    return file.getvalue()
 
 
 def _tags(display):

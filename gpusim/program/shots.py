@@ -123,13 +123,14 @@ class Shots:
 
         shading = None if exposure.shading is None else np.array(exposure.shading)
         wanted = Frame(exposure.camera, exposure.exposure_time, Later(lambda: shot.developed[2]),
-                       Later(lambda: shot.timed(self._mean_of_pixels)),
+                       Later(lambda: shot.timed(self.mean_of_pixels)),
                        Later(lambda: exposure.layered(shot.copied(shot.raw))),
                        Later(lambda: shot.copied(shot.developed[0])), Later(lambda: shot.copied(shot.developed[1])),
                        Later(report), exposure.blur, shading)
         return wanted.complete() if exposure.is_rewritten else wanted
 
-    def _mean_of_pixels(self):
+    def mean_of_pixels(self) -> np.ndarray:
+        """Mean electrons of the pixels as they are read, NumPy, float32 [e-]."""
         of = self._kept.one(self.exposure.mean), self.simulator.readout.sensor
         return np.array(self._kept("mean of pixels", of, self._mean))
 

@@ -47,6 +47,8 @@ ALLOWED = {
     "gpusim.forecast": {"gpusim.domain", "gpusim.planner", "gpusim.simulator", "gpusim.speeds"},
     "gpusim.pareto": {"gpusim.domain", "gpusim.backends", "gpusim.report", "gpusim.simulator", "gpusim.speeds",
                       "gpusim.truth"},
+    "gpusim.pairs": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
+                     "gpusim.simulator", "gpusim.video"},
     "gpusim.video": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
                      "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},

@@ -1,0 +1,155 @@
+"""Pairs for training: the same bytes whoever makes them, and raw values that scatter about what is called clean."""
+
+import io
+import json
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from devices import KINDS
+from PIL import Image
+
+import gpusim as gs
+from gpusim.cli import main
+from gpusim.pairs.pairs import Pairs
+from gpusim.pairs.variety import Variety
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("photographs")
+    random = np.random.default_rng(3)
+    for number, shape in enumerate([(30, 40), (30, 40), (26, 50), (30, 40), (20, 20)]):
+        codes = np.uint8(255 * random.random((*shape, 3)))
+        Image.fromarray(codes).resize(shape[::-1]).save(folder / f"p{number}.png")
+    Image.fromarray(np.uint8(255 * random.random((24, 32)))).save(folder / "grey.png")
+    return folder
+
+
+def made(capsys, *arguments):
+    assert main(["pairs", *map(str, arguments)]) == 0, capsys.readouterr().err
+    return capsys.readouterr().out
+
+
+def shards(folder):
+    return {path.name: path.read_bytes() for path in folder.glob("*.tar")}
+
+
+def samples(folder):
+    """Key -> suffix -> bytes, in the order of the files."""
+    found = {}
+    for path in sorted(folder.glob("*.tar")):
+        with tarfile.open(path) as file:
+            for member in file:
+                key, _, suffix = member.name.partition(".")
+                found.setdefault(key, {})[suffix] = file.extractfile(member).read()
+    return found
+
+
+@pytest.mark.parametrize("device", ["numpy", *KINDS])
+def test_any_number_of_workers_gives_the_same_bytes(device, photographs, tmp_path, capsys):
+    asked = [photographs, "--camera", "phone", "--device", device, "--each", "3", "--in-shard", "4", "--pictures",
+             "--vary", "exposure=1/500..1/20,iso=200..1600,light=D65|A,luminance=20..300", "--seed", "5"]
+    one, resumed = tmp_path / "one", tmp_path / "resumed"
+    made(capsys, *asked, "-o", one)
+    expected = shards(one)
+    assert list(expected) and len(expected) == 5  # of 18 pairs
+    for count in (2, 4):
+        folder = tmp_path / f"of {count}"
+        for number in reversed(range(count)):
+            made(capsys, *asked, "-o", folder, "--shard", f"{number}/{count}")
+        assert shards(folder) == expected
+    made(capsys, *asked, "-o", resumed)
+    (resumed / "000001.tar").unlink()
+    (resumed / "000004.tar").unlink()
+    assert "3 tar files were there" in made(capsys, *asked, "-o", resumed)
+    assert shards(resumed) == expected
+
+
+def test_samples_are_as_they_say(photographs, tmp_path, capsys):
+    made(capsys, photographs, "--camera", "phone", "--device", "numpy", "--each", "2", "--pictures", "-o",
+         tmp_path / "a", "--vary", "exposure=1/500..1/20,iso=200..1600", "--tolerance", "video")
+    found = samples(tmp_path / "a")
+    assert list(found) == [f"{number:08d}" for number in range(12)]
+    times, speeds = [], []
+    for number, sample in enumerate(found.values()):
+        raw, clean = (np.load(io.BytesIO(sample[f"{name}.npy"])) for name in ("raw", "clean"))
+        told, picture = json.loads(sample["json"]), Image.open(io.BytesIO(sample["rgb.png"]))
+        assert raw.dtype == np.uint16 and clean.dtype == np.float32 and raw.shape == clean.shape
+        assert picture.size == raw.shape[::-1] and told["frame"] == number and told["tolerance_met"] in (True, False)
+        assert 1 / 500 <= told["exposure"] <= 1 / 20 and told["exposure_time_s"] == told["exposure"]
+        times.append(told["exposure"])
+        speeds.append(told["iso"])
+    assert len(set(times)) == len(set(speeds)) == 12
+    # of one photograph, by hand: its light, and the same noise
+    camera, told = gs.open_camera("phone"), json.loads(found["00000003"]["json"])
+    scene = gs.open_scene(sorted(photographs.iterdir())[1])
+    simulator = gs.Simulator(camera, device="numpy", tolerance="video")
+    exposure = simulator.expose(scene, told["exposure"], told["gain"])
+    raw = np.load(io.BytesIO(found["00000003"]["raw.npy"]))
+    assert np.array_equal(raw, simulator.draw(exposure, seed=0, frame=3))
+    clean = np.load(io.BytesIO(found["00000003"]["clean.npy"]))
+    assert np.allclose(clean, told["black_level"] + told["gain_dn_per_e"] * exposure.mean, rtol=1e-6)
+
+
+def test_raw_values_scatter_about_the_clean_ones():
+    """Without dark current, fixed pattern and clipping: by shot and read noise and rounding, in mean and variance."""
+    camera = gs.open_camera("phone")
+    noise = replace(camera.sensor.noise, dark_current=0.0, prnu=0.0, dsnu=0.0)
+    camera = replace(camera, sensor=replace(camera.sensor, noise=noise, exposure_time=None))
+    scene = gs.chart("flat", size=(64, 48))
+    simulator = gs.Simulator(camera, device="numpy")
+    seconds = simulator.expose(scene).exposure_time
+    variety = Variety.parse(f"exposure={seconds / 20}..{seconds / 2}")
+    found, count = [], 40
+    pairs = Pairs(simulator, [Path("flat")], lambda *_: scene, variety, count, 7)
+    for _, files in pairs.made(range(count)):
+        raw, clean = (np.load(io.BytesIO(files[f"{name}.npy"])).astype(float) for name in ("raw", "clean"))
+        told = json.loads(files["json"])
+        gain = told["gain_dn_per_e"]
+        variance = gain * (clean - told["black_level"]) + (gain * told["read_noise_e"]) ** 2 + 1 / 12
+        found.append((raw - clean) / np.sqrt(variance))
+    values = np.array(found)
+    # the mean of n normal values is good to 1 / sqrt(n), their variance to sqrt(2 / n): five of these
+    n = values.size
+    assert abs(values.mean()) < 5 / np.sqrt(n) and abs(values.var() - 1) < 5 * np.sqrt(2 / n)
+    flat = values.reshape(count, -1)
+    assert np.abs(np.corrcoef(flat) - np.eye(count)).max() < 6 / np.sqrt(flat.shape[1])  # pairs have noise of their own
+
+
+@pytest.mark.parametrize("text", ["exposure=1/20..1/200", "iso=0..5", "iso", "gain=1..2", "iso=1..2,iso=3..4", "light=",
+                                  "exposure=soon", "iso=nan..5"])
+def test_a_variety_that_cannot_be_is_refused(text, capsys):
+    with pytest.raises(SystemExit) as status:
+        main(["pairs", "a.png", "--camera", "phone", "-o", "out", "--vary", text])
+    assert status.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_variety_is_even_in_the_logarithm():
+    variety = Variety.parse("exposure=1ms..100ms,light=A|D65|FL11")
+    drawn = [variety.drawn(3, number) for number in range(3000)]
+    place = np.log10([one["exposure"] / 1e-3 for one in drawn]) / 2
+    assert 0 <= place.min() and place.max() <= 1
+    assert abs(place.mean() - 0.5) < 5 / np.sqrt(12 * 3000) and abs(place.var() - 1 / 12) < 0.01
+    assert {one["light"] for one in drawn} == {"A", "D65", "FL11"}
+    assert drawn[7] == variety.drawn(3, 7) != variety.drawn(4, 7)
+
+
+def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for words, arguments in {
+            "no scene files": [tmp_path / "empty"], "no such file": [tmp_path / "none.png"],
+            "both given": [photographs, "--iso", "200", "--vary", "iso=100..200"],
+            "base speed": [photographs, "--vary", "iso=1..200"],
+            "up to 2 shards": [photographs, "--in-shard", "3", "--shard", "0/3"]}.items():
+        assert main(["pairs", *map(str, arguments), "--camera", "phone", "--device", "numpy", "-o",
+                     str(tmp_path / "out")]) == 2
+        error = capsys.readouterr().err
+        assert words in error and error.count("\n") == 1, error
+        assert not list(tmp_path.rglob("*.tar"))
+    made(capsys, photographs, "--camera", "phone", "--device", "numpy", "-o", tmp_path / "done")
+    assert main(["pairs", str(photographs), "--camera", "phone", "--device", "numpy", "-o", str(tmp_path / "done"),
+                 "--seed", "1"]) == 2
+    assert "other options" in capsys.readouterr().err
