@@ -81,11 +81,14 @@ class Scene:
                 raise BadData(f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}")
             if not (self.depth > 0).all():
                 raise BadData(f"{self.name}: depth must be positive everywhere [m]")
+        self._check_view()
+        self._check_layers()
+
+    def _check_view(self):
         if not isinstance(self.view, View):
             raise BadData(f"{self.name}: view {type(self.view).__name__}, wanted a View")
         if self.depth is not None and not self.view.is_plain:
             raise BadData(f"{self.name}: a view of a scene with depth, which is not moved with it; wanted either")
-        self._check_layers()
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -114,6 +117,13 @@ class Scene:
         for name, array in arrays.items():
             object.__setattr__(content, name, array)
         object.__setattr__(scene, "content", content)
+        return scene
+
+    def viewed(self, view: View) -> "Scene":
+        """The same by another view; its samples are not looked at again. Raises BadData."""
+        scene = copy(self)
+        object.__setattr__(scene, "view", view)
+        scene._check_view()
         return scene
 
     @property

@@ -48,9 +48,9 @@ PART = ".nut"  # of a segment's file, which holds what any encoder gives as it i
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # of FFV1, with a checksum of each slice
 CODECS = {
     "h264": Codec("libx264", "codes", "yuv420p", "rgb24", (".mp4", ".mkv"),
-                  (("preset", "medium"), ("threads", "4")), "crf"),
+                  (("preset", "veryfast"), ("threads", "4")), "crf"),
     "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", (".mp4", ".mkv"),
-                  (("preset", "medium"), ("x265-params", "log-level=error:frame-threads=2")), "crf"),
+                  (("preset", "superfast"), ("x265-params", "log-level=error:frame-threads=2")), "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }

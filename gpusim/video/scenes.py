@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from itertools import islice, repeat
 from pathlib import Path
@@ -81,7 +80,7 @@ class Moving:
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `Scenes`."""
         for number, scene in enumerate(self._scenes.between(first, end), first):
-            yield replace(scene, view=self._motion.at(number * self._period))
+            yield scene.viewed(self._motion.at(number * self._period))
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:

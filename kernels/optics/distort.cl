@@ -72,6 +72,16 @@ __kernel void cubic(
     const float floor_y = floor(at.x), floor_x = floor(at.y);
     const int first_y = y + (int)floor_y - 1, first_x = x + (int)floor_x - 1;
     const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
+    if (first_y >= 0 && first_x >= 0 && first_y + 4 <= source_rows && first_x + 4 <= source_cols) {  // nearly everywhere
+#pragma unroll
+        for (int p = 0; p < PLANES; ++p) {
+            __global const float *from = planes + ((size_t)(m * PLANES + p) * source_rows + first_y) * source_cols + first_x;
+            const float4 sums = wy.x * vload4(0, from) + wy.y * vload4(0, from + source_cols) +
+                                wy.z * vload4(0, from + 2 * source_cols) + wy.w * vload4(0, from + 3 * source_cols);
+            out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * dot(sums, wx);
+        }
+        return;
+    }
     const float in_y[4] = {wy.x, wy.y, wy.z, wy.w}, in_x[4] = {wx.x, wx.y, wx.z, wx.w};
     float total[PLANES];
 #pragma unroll

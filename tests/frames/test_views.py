@@ -97,7 +97,7 @@ def test_a_loop_of_views_gives_the_frames_of_each(device):
     program = simulator.program(replace(scene, view=views[0]), exposure_time=0.01)
     plan = program.plan
     for k in (0, 3, 1, 1, 4, 2, 0):
-        view = replace(scene, view=views[k])
+        view = scene.viewed(views[k])
         found = np.array(simulator.device.numpy(program.update(scene=view).raw(seed=1, frame=k)))
         assert program.plan is plan
         alone = np.array(simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, frame=k)))
@@ -132,6 +132,8 @@ def test_views_that_cannot_be_are_refused(planes):
         scene_of(planes, depth=np.ones((60, 60)), view=gs.View((1, 0)))
     with pytest.raises(BadData, match="wanted a View"):
         scene_of(planes, view=(1, 0))
+    with pytest.raises(BadData, match="wanted a View"):
+        scene_of(planes).viewed((1, 0))
     for wrong in ({"shake": -1}, {"zooming": 0}, {"zoom": 0.5}):
         with pytest.raises(OutOfRange):
             Motion(**wrong)
