@@ -35,6 +35,8 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says 
 def write_npz(path, scene: Scene):
     """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
     content = scene.content.on_host()
+    if not scene.view.is_plain:
+        raise BadFile(path, f"a view of {scene.name}, of which an archive would hold the whole: write it without view")
     if scene.layers:
         raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: an archive holds one picture and its depth")
     arrays: dict = {"wavelengths_nm": content.wavelengths}

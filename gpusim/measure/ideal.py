@@ -60,6 +60,8 @@ def pixel_sums(scene: Scene, weights) -> np.ndarray:
 
     weights: of the scene's wavelengths, shape (3, L).
     """
+    if not scene.view.is_plain:
+        raise BadData(f"ideal: a view of {scene.name}, whose samples are not the frame's; wanted the scene as it is")
     return _pixels(scene, _seen(scene, weights))
 
 

@@ -11,9 +11,11 @@ from devices import KINDS
 import gpusim as gs
 from gpusim.domain.account import Bound
 from gpusim.domain.distortion import RadialPolynomial
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.motion import FASTEST, Motion
 from gpusim.domain.scene import Scene
+from gpusim.io.npz import write_npz
+from gpusim.measure.ideal import ideal
 from gpusim.truth import true_mean
 
 WAVELENGTHS = np.linspace(420.0, 680.0, 4)
@@ -122,7 +124,7 @@ def test_a_margin_is_seen_by_a_camera_that_moves(planes):
     assert np.abs(found - own).max() < 1e-6 * own.max()
 
 
-def test_views_that_cannot_be_are_refused(planes):
+def test_views_that_cannot_be_are_refused(planes, tmp_path):
     for wrong, error in (({"zoom": 0.9}, OutOfRange), ({"zoom": np.nan}, OutOfRange),
                          ({"shift": (1, np.inf)}, OutOfRange), ({"shift": (1,)}, BadData),
                          ({"rotation": "a"}, BadData)):
@@ -134,6 +136,11 @@ def test_views_that_cannot_be_are_refused(planes):
         scene_of(planes, view=(1, 0))
     with pytest.raises(BadData, match="wanted a View"):
         scene_of(planes).viewed((1, 0))
+    moved = scene_of(planes, view=gs.View((0.5, 0)))
+    with pytest.raises(BadFile, match="a view of"):
+        write_npz(tmp_path / "a.npz", moved)
+    with pytest.raises(BadData, match="a view of"):
+        ideal(moved)
     for wrong in ({"shake": -1}, {"zooming": 0}, {"zoom": 0.5}):
         with pytest.raises(OutOfRange):
             Motion(**wrong)
