@@ -1,4 +1,4 @@
-"""What moves, before a rolling shutter."""
+"""What moves, before a rolling shutter: scenes at a few instants, or a camera on its path."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -7,16 +7,23 @@ from time import perf_counter
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, DoesNotFit
+from gpusim.domain.account import SAFETY
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
+from gpusim.domain.motion import Motion
 from gpusim.domain.scene import checked_scene
 from gpusim.frame import Exposure
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.planner.shutter import shutter_weights
 from gpusim.program.kept import Kept
 from gpusim.program.metering import metered
+from gpusim.program.planning import probes_for
 from gpusim.program.program import exposed
 from gpusim.simulator import Simulator
+
+COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # of instants: each has those of the one before
+ENOUGH = 0.5  # of a tolerance
+STEP = 0.25  # [sample] between two instants, without a tolerance
 
 
 def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | None = None, start: float = 0.0,
@@ -39,7 +46,10 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
                       "one or more")
     if len({scene.shape for scene in scenes}) > 1:
         raise BadData("moving scene: the scenes differ in size")
-    plans = [simulator.plan(scene) for scene in scenes]
+    first = simulator.plan(scenes[0])
+    plans = [dataclasses.replace(first, scene=scene) if first.serves(scene) and scene.content is scenes[0].content
+             else simulator.plan(scene) for scene in scenes[1:]]
+    plans.insert(0, first)
     held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)  # the pictures, and once more together
     if held > device.memory:
         raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name)
@@ -57,3 +67,53 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
         plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
         exposure = exposed(simulator, plan, device.reshape(mean, shape), exposure_time, gain, Kept())
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+
+
+def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: float | None = None, start: float = 0.0,
+                  gain: float = 1.0, instants: int | None = None) -> Exposure:
+    """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
+
+    start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
+    instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
+    the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
+    Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than MOST of them.
+    """
+    scene, sensor = checked_scene(scene), simulator.camera.sensor
+    checked_time(exposure_time)
+    if exposure_time is None and sensor.exposure_time is None:
+        metered_by = simulator.expose(scene.viewed(motion.at(start)), None, gain)
+        exposure_time, gain = metered_by.exposure_time, metered_by.gain
+    seconds = float(sensor.exposure_time if exposure_time is None else exposure_time)
+    whole = seconds + sensor.row_time * (scene.shape[0] - 1)
+    if instants is not None and not instants >= 2:
+        raise OutOfRange("instants", instants, "2 or more")
+    probes = probes_for(simulator, scene, motion.at(start), seconds)
+    for count in [instants] if instants else COUNTS:
+        times = start + whole * np.linspace(0, 1, count)
+        step = _farthest(scene, motion, times)
+        wrong = probes.between(step, step * (count - 1) * seconds / whole)
+        tolerance = simulator.tolerance
+        if instants or not step or (step <= STEP if tolerance is None else
+                                    SAFETY * wrong.ratio(tolerance) <= ENOUGH):
+            break
+    else:
+        raise OutOfRange("motion during an exposure", f"{step * (count - 1):.4g} samples in {whole:.4g} s", "a path "
+                         f"that takes up to {count} instants: a shorter exposure, a slower camera, a larger tolerance")
+    if not step:
+        times = times[:1]
+    scenes = [scene.viewed(motion.at(time)) for time in times]
+    made = expose_moving(simulator, scenes, times, seconds, start, gain)
+    between = next((one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)), scenes[0].view)
+    told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
+    plan, bounds = made.plan, made.plan.account.bounds | told
+    account = dataclasses.replace(plan.account, bounds=bounds)
+    verdict = None if tolerance is None else account.verdict(tolerance, plan.verdict.remedy if plan.verdict else "")
+    return dataclasses.replace(made, plan=dataclasses.replace(plan, account=account, verdict=verdict))
+
+
+def _farthest(scene, motion, times):
+    """How far the camera moves between two of these times, at most, anywhere in the frame [sample]."""
+    y, x = (np.array((-0.5, 0.5))[:, None] * scene.samples[0], np.array((-0.5, 0.5)) * scene.samples[1])
+    places = np.array([np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel)) for time in times])
+    zoom = max(motion.at(time).zoom for time in times)  # a place of the scene is so many samples of the frame
+    return float(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).max(initial=0)) * zoom

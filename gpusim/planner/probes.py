@@ -120,6 +120,17 @@ class Probes:
         square = square_y[:, None] * square_x - 2 * np.real(mean_y[:, None] * mean_x) + 1
         return self.bound(self.exact * np.sqrt(np.maximum(square, 0)).astype(np.float32))
 
+    def between(self, step: float, path: float) -> Bound:
+        """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.
+
+        step: displacement from one instant to the next, at most [sample]. path: during the whole exposure [sample].
+        A wave of f cycles per sample is seen sinc^2(f step) of as strong between two instants, in the mean, and what an
+        exposure leaves of it is at most 1 / (pi f path).
+        """
+        f = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE))
+        left = np.minimum(1, 1 / np.maximum(np.pi * f * path, 1e-9))
+        return self.bound(self.exact * ((1 - np.sinc(f * step) ** 2) * left).astype(np.float32))
+
     def local(self, rms: float) -> Bound:
         """An error of this relative root mean square that is where a blur is seen, at edges."""
         shape = self.unblurred

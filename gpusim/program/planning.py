@@ -8,11 +8,14 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import DoesNotFit, NotMet, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
+from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.planner.after import probed
 from gpusim.planner.border import BORDER_REACH
 from gpusim.planner.facts import Facts
+from gpusim.planner.models import highlights, spectral
 from gpusim.planner.plan import Plan, plan
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 from gpusim.program.memory import bytes_needed, largest_array
 from gpusim.program.reading import Reading
@@ -64,6 +67,13 @@ def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Acc
     """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
     return probed(made, Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)), seconds)
+
+
+def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
+    """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
+    question = Question.of(scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator))
+    question, picture = highlights.split(question)
+    return spectral.probes_of(question, picture, picture.operation(question, seconds))
 
 
 def _asked(simulator):

@@ -14,7 +14,7 @@ MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 # Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "fps")
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "fps")
 
 
 def add_command(commands):
@@ -38,6 +38,8 @@ def add_command(commands):
     parser.add_argument("--zooming", type=_number, default=1.0, metavar="FACTOR", help="by which it grows in a second")
     parser.add_argument("--shake", type=_number, default=0.0, metavar="PIXELS", help="root mean square of a hand's "
                         "displacement, from --seed")
+    parser.add_argument("--blur", action="store_true", help="of the camera's movement while it exposes, and its "
+                        "rolling shutter: many times the work, as many instants a frame as the tolerance takes")
     parser.add_argument("--codec", metavar="NAME", help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, "
                         ".mkv), ffv1-linear (linear RGB, 16 bit, .mkv) (default: h264)")
     parser.add_argument("--quality", type=_quality, metavar="CRF", help="constant rate factor of h264 and h265, "
@@ -103,6 +105,8 @@ def video(arguments) -> int:
                                                 arguments.zooming, arguments.shake, arguments.seed)
     if motion != Motion(seed=arguments.seed):
         scenes = Moving(scenes, motion, arguments.fps)
+    elif arguments.blur:
+        raise OutOfRange("--blur", "given", "with --pan, --roll, --zooming or --shake: the camera rests")
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
@@ -171,8 +175,9 @@ def _target(path, arguments, simulator, scenes, segments):
     from gpusim.io.frames import FORMATS, check_format
     from gpusim.video.codecs import CONTAINERS, Encoder, codec_of
     from gpusim.video.manifest import digest, keep
-    from gpusim.video.video import EncodedFile, NumberedFiles
+    from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
+    frames_of = blurred_frames if arguments.blur else frames
     camera, suffix = simulator.camera, path.suffix.lower()
     made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names, "frames": scenes.count,
             "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
@@ -186,7 +191,7 @@ def _target(path, arguments, simulator, scenes, segments):
         encoder = Encoder(codec, simulator.readout.output_shape(first.shape), arguments.fps, camera.display,
                           camera.processor.tone, arguments.quality)
         check_output(path)
-        target = EncodedFile(path, codec, encoder, segments)
+        target = EncodedFile(path, codec, encoder, segments, frames_of)
         if path.exists() and not target.folder.exists():
             raise BadFile(path, "is there already; remove it, or give -o another name")
         try:
@@ -201,7 +206,7 @@ def _target(path, arguments, simulator, scenes, segments):
     if arguments.codec is not None or arguments.quality is not None:
         raise OutOfRange("--codec, --quality", f"with {suffix} files", f"for {' and '.join(CONTAINERS)} alone")
     check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
-    numbered = NumberedFiles(path, scenes.count)
+    numbered = NumberedFiles(path, scenes.count, frames_of)
     manifest = path.with_name(f"{path.stem}_video.json")
     check_output(manifest)
     there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)

@@ -67,20 +67,20 @@ class First:
 
 
 class Moving:
-    """Other scenes before a camera that moves. rate: frames per second. Raises BadData for scenes with depth."""
+    """Other scenes, `still`, before a camera that moves. rate: frames per second. Raises OutOfRange, BadData."""
 
     is_still = False
 
     def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction):
-        self._scenes, self._motion, self._period = scenes, motion, float(1 / rate)
+        self.still, self.motion, self.period = scenes, motion, float(1 / rate)
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
-            motion.at(number * self._period)  # said before the work
+            motion.at(number * self.period)  # said before the work
 
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `Scenes`."""
-        for number, scene in enumerate(self._scenes.between(first, end), first):
-            yield scene.viewed(self._motion.at(number * self._period))
+        for number, scene in enumerate(self.still.between(first, end), first):
+            yield scene.viewed(self.motion.at(number * self.period))
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:

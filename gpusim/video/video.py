@@ -1,7 +1,7 @@
 """Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.captures.moving import expose_motion
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.simulator import Simulator
 from gpusim.video.codecs import PART, Codec, Encoder
 from gpusim.video.pipeline import ahead
-from gpusim.video.scenes import Scenes
+from gpusim.video.scenes import Moving, Scenes
 
 READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
 
@@ -73,6 +74,24 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
             program.judge()
 
 
+def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
+                   output: str | None = None) -> Iterator[Made]:
+    """The same of a camera that moves while it exposes; each frame meters its own first view."""
+    for _, *wanted in segments:
+        for number in wanted:
+            scene = next(scenes.still.between(number, number + 1))
+            exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period)
+            account = exposure.plan.account.at(exposure.exposure_time)
+            if output is None:
+                yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), account)
+                continue
+            values = simulator.draw(exposure, seed=seed, frame=number)
+            if output != "raw":
+                values = simulator.codes(values, exposure) if output == "codes" else simulator.develop(
+                    values, exposure)[0]
+            yield Made(number, np.array(simulator.device.numpy(values)), account)
+
+
 def _made(program, number, seed, output):
     account = program.account
     if output is None:
@@ -82,10 +101,13 @@ def _made(program, number, seed, output):
 
 
 class NumberedFiles:
-    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on."""
+    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on.
 
-    def __init__(self, path: Path, count: int):
-        self._path, self._digits = path, max(4, len(str(count - 1)))
+    made: `frames` or `blurred_frames`.
+    """
+
+    def __init__(self, path: Path, count: int, made: Callable = frames):
+        self._path, self._digits, self._made = path, max(4, len(str(count - 1))), made
 
     def name(self, number: int) -> Path:
         """Of a frame."""
@@ -95,7 +117,7 @@ class NumberedFiles:
         """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
         missing = [[segment.start, *(number for number in segment if not self.name(number).exists())]
                    for segment in segments]
-        made = frames(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed)
+        made = self._made(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed)
         workers = os.cpu_count() or 1
         with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
             writing: dict = {}
@@ -114,10 +136,13 @@ def _written(writing, done):
 
 
 class EncodedFile:
-    """A file of all frames, made of a file for each segment, in a folder beside it until all are there."""
+    """A file of all frames, made of a file for each segment, in a folder beside it until all are there.
 
-    def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range]):
-        self.path, self._codec, self._encoder, self._segments = path, codec, encoder, segments
+    made: `frames` or `blurred_frames`.
+    """
+
+    def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range], made: Callable = frames):
+        self.path, self._codec, self._encoder, self._segments, self._made = path, codec, encoder, segments, made
         self.folder = path.with_name(f"{path.name}.parts")
 
     def part(self, segment: range) -> Path:
@@ -127,8 +152,8 @@ class EncodedFile:
     def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0) -> Iterator[Made]:
         """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
         missing = [segment for segment in segments if not self.part(segment).exists()]
-        made = frames(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
-                      output=self._codec.output)
+        made = self._made(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
+                          output=self._codec.output)
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
                 taken: list[Made] = []

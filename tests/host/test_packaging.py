@@ -49,7 +49,7 @@ ALLOWED = {
                       "gpusim.truth"},
     "gpusim.pairs": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
                      "gpusim.simulator", "gpusim.video"},
-    "gpusim.video": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
+    "gpusim.video": {"gpusim.captures", "gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
                      "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
 }

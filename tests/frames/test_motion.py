@@ -1,0 +1,120 @@
+"""Motion blur and rolling shutter of a camera on its path: against sums of many instants, and a wave's closed form."""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+from cameras import PHONE
+from devices import KINDS
+
+import gpusim as gs
+from gpusim.domain.errors import OutOfRange
+from gpusim.domain.scene import Scene
+from gpusim.video.scenes import Moving, Still
+from gpusim.video.video import blurred_frames
+
+SECONDS, ROW_TIME, START = 0.01, 4e-5, 0.3
+PATHS = (gs.Motion(pan=(80, 250)), gs.Motion(pan=(0, 300), roll=1.5, zoom=1.1, zooming=1.5), gs.Motion(shake=6, seed=3))
+
+
+def camera(row_time=ROW_TIME):
+    return replace(PHONE, sensor=replace(PHONE.sensor, row_time=row_time))
+
+
+def brute(simulator, scene, motion, row_time, instants):
+    """Rows that gather what every instant shows while they are open: a plain mean of evenly spaced ones."""
+    rows = np.arange(scene.shape[0])
+    whole = SECONDS + row_time * rows[-1]
+    times = START + (np.arange(instants) + 0.5) * (whole / instants)
+    program, total, opened = None, 0.0, np.zeros(len(rows))
+    for time in times:
+        view = scene.viewed(motion.at(time))
+        program = program.update(scene=view) if program else simulator.program(view, exposure_time=SECONDS)
+        mean = np.array(simulator.device.numpy(program.exposure.mean), np.float64)
+        is_open = (time >= START + rows * row_time) & (time < START + rows * row_time + SECONDS)
+        total = total + is_open[:, None] * mean
+        opened += is_open
+    return total / opened[:, None]
+
+
+@pytest.mark.parametrize("motion", PATHS, ids=["pan", "turn", "shake"])
+@pytest.mark.parametrize("row_time", [0.0, ROW_TIME])
+def test_a_frame_errs_no_more_than_it_says(motion, row_time):
+    """Against 64 times as many instants, at three tolerances and without one."""
+    scene = gs.chart("deadleaves", size=(100, 80))
+    for tolerance in (None, 0.1, 0.02):
+        simulator = gs.Simulator(camera(row_time), device="opencl:0", tolerance=tolerance)
+        exposure = gs.expose_motion(simulator, scene, motion, SECONDS, START)
+        count = int(exposure.plan.models["sensor.shutter"].split()[0])
+        if tolerance == 0.1:
+            truth = brute(simulator, scene, motion, row_time, min(64 * count, 700))
+        if tolerance is not None:
+            error = np.array(simulator.device.numpy(exposure.mean)) - truth
+            stated = exposure.plan.account.bounds["shutter"].rms
+            # the truth's own: a row opens half of an instant too early or too late
+            assert np.sqrt(np.mean(error**2) / np.mean(truth**2)) < stated + 2e-3
+            assert 1.5 * stated <= 0.5 * tolerance
+        else:
+            assert count > 2
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_wave_is_blurred_as_its_closed_form_says(device):
+    """cos(2 pi f x) of f = 1/25 a sample, over 20 samples: sinc(f D) of it, and the phase of the middle."""
+    f, speed = 0.04, 2000.0
+    x = np.arange(400) - 199.5
+    planes = np.broadcast_to(1 + 0.5 * np.cos(2 * pi * f * x), (4, 40, 400)).astype(np.float32)
+    light = gs.chart("flat").illuminant
+    wavelengths = np.linspace(420.0, 680.0, 4)
+    scene = Scene(gs.Cube(wavelengths, planes), light)
+    simulator = gs.Simulator(camera(0.0), device=device)
+    exposure = gs.expose_motion(simulator, scene, gs.Motion(pan=(0, speed)), SECONDS, -SECONDS / 2, instants=17)
+    wave = 1 + 0.5 * np.sinc(f * speed * SECONDS) * np.cos(2 * pi * f * x)
+    own = Scene(gs.Cube(wavelengths, np.broadcast_to(wave, (4, 40, 400)).astype(np.float32)), light)
+    expected = np.array(simulator.device.numpy(simulator.expose(own, SECONDS).mean), np.float64)
+    found = np.array(simulator.device.numpy(exposure.mean), np.float64)
+    inside = np.s_[:, 130:-130]  # far from where the wave ends, in one place or another
+    wrong = np.sqrt(np.mean((found - expected)[inside] ** 2) / np.mean(expected[inside] ** 2))
+    bounds = exposure.plan.account.bounds
+    assert wrong < bounds["shutter"].rms + bounds["view"].rms + 1e-4 and bounds["view"].rms > 0
+
+
+def test_rows_see_the_camera_where_it_is_then():
+    """An edge leans by the speed times the row time."""
+    speed, row_time = 1500.0, 2e-4
+    picture = gs.chart("flat", size=(120, 60))
+    shading = np.where(np.arange(120) < 60, 0.1, 1.0) * np.ones((60, 1))
+    scene = replace(picture, content=replace(picture.content, shading=shading.astype(np.float32)))
+    simulator = gs.Simulator(camera(row_time), device="opencl:0")
+    exposure = gs.expose_motion(simulator, scene, gs.Motion(pan=(0, speed)), 1e-4, instants=61)
+    mean = np.array(simulator.device.numpy(exposure.mean), np.float64)[1::2, ::2]  # one colour
+    bright = mean.max(axis=1, keepdims=True)
+    edge = 120 - 2 * (mean / bright).sum(axis=1)  # where the bright part begins, up to a constant
+    lean = np.polyfit(np.arange(60)[1::2][3:-3], edge[3:-3], 1)[0]
+    assert lean == pytest.approx(-speed * row_time / 1.0 * 0.9, rel=0.06)  # the dark part counts a tenth
+
+
+def test_a_resting_camera_is_one_picture_and_odd_numbers_are_refused():
+    scene, simulator = gs.chart("flat", size=(40, 30)), gs.Simulator(camera(), device="numpy", tolerance=0.1)
+    still = gs.expose_motion(simulator, scene, gs.Motion(zoom=1.5), SECONDS)
+    assert still.plan.models["sensor.shutter"].startswith("1 pictures")
+    with pytest.raises(OutOfRange, match="instants"):
+        gs.expose_motion(simulator, scene, PATHS[0], SECONDS, instants=1)
+    with pytest.raises(OutOfRange, match="motion during"):
+        gs.expose_motion(gs.Simulator(camera(), device="numpy", tolerance=1e-4), gs.chart("deadleaves", size=(60, 40)),
+                         gs.Motion(pan=(0, 3e4)), SECONDS)
+
+
+def test_blurred_frames_are_those_of_their_times():
+    """Each by itself, whatever was made before."""
+    scene = gs.chart("deadleaves", size=(64, 48))
+    simulator = gs.Simulator(camera(), device="opencl:0", tolerance=0.2)
+    scenes = Moving(Still(scene, 6), PATHS[0], 25)
+    every = {one.number: one.values for one in blurred_frames(simulator, scenes, [[0, 0, 1, 2], [3, 3, 5]],
+                                                              output="raw")}
+    assert list(every) == [0, 1, 2, 3, 5]
+    for one in blurred_frames(simulator, scenes, [[3, 5], [0, 1]], output="raw"):
+        assert np.array_equal(one.values, every[one.number])
+    exposure = gs.expose_motion(simulator, scene, PATHS[0], start=5 / 25)
+    assert np.array_equal(every[5], simulator.device.numpy(simulator.draw(exposure, frame=5)))
