@@ -45,10 +45,11 @@ def pairs(arguments) -> int:
 
     from gpusim import __version__
     from gpusim.data.cameras import open_camera
+    from gpusim.data.lights import illuminant
     from gpusim.pairs.pairs import Pairs, gain_of
     from gpusim.pairs.shards import write_shard
     from gpusim.simulator import Simulator
-    from gpusim.video.manifest import digest, keep
+    from gpusim.video.manifest import digest, file_digest, kept
 
     varied = dict(arguments.vary.ranges)
     for name, option in (("exposure", arguments.exposure), ("iso", arguments.iso), ("light", arguments.light),
@@ -64,22 +65,28 @@ def pairs(arguments) -> int:
     opened = _opener(arguments)
     opened(photographs[0], arguments.vary.drawn(arguments.seed, 0))
     made = Pairs(simulator, photographs, opened, arguments.vary, arguments.each, arguments.seed, arguments.pictures)
+    for light in varied.get("light", ()):
+        illuminant(light)
     folder = Path(arguments.out)
+    if any(path.parent.resolve() == folder.resolve() for path in photographs):
+        raise BadFile(folder, "the photographs are in it; give -o another folder")
+    shards = segments_of(len(made), arguments.in_shard)
+    own = arguments.shard.of(shards, "--in-shard")
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise BadFile(folder, f"cannot be made: {error.strerror or error}") from error
-    keep(folder / "pairs.json", {
+    told = {
         "gpusim": __version__, "camera": digest(camera), "photographs": [str(path) for path in photographs],
+        "contents of files": [file_digest(path) for path in photographs],
         "vary": {name: list(values) for name, values in varied.items()},
         "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
-        "device": f"{simulator.device.kind}: {simulator.device.name}"}, "the tar files beside it")
-    shards = segments_of(len(made), arguments.in_shard)
+        "device": f"{simulator.device.kind}: {simulator.device.name}"}
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
-    own = arguments.shard.of(shards)
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))
-    with tqdm(total=count, unit="pair", disable=None) as bar:
+    with kept(folder / "pairs.json", told, "the tar files beside it", lambda: not any(folder.glob("*.tar"))), tqdm(
+            total=count, unit="pair", disable=None) as bar:
         for shard in missing:
             write_shard(names[shard.start], _counted(made.made(shard), bar))
     seconds = time.perf_counter() - begun

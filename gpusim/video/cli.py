@@ -92,13 +92,12 @@ def _quality(text):
 
 def video(arguments) -> int:
     """Run `gpusim video`; returns the exit status. Raises GpusimError."""
-    from tqdm import tqdm
-
     from gpusim.data.cameras import open_camera
     from gpusim.domain.motion import Motion
     from gpusim.simulator import Simulator
+    from gpusim.video.manifest import kept
     from gpusim.video.scenes import Moving
-    from gpusim.video.video import EncodedFile, within_period
+    from gpusim.video.video import within_period
 
     path = Path(arguments.out)
     scenes, motion = _scenes(arguments), Motion(arguments.pan, radians(arguments.roll), arguments.zoom,
@@ -112,11 +111,21 @@ def video(arguments) -> int:
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
     segments = segments_of(scenes.count, arguments.segment)
     own = arguments.shard.of(segments)
-    target = _target(path, arguments, simulator, scenes, segments)
+    target, manifest, made = _target(path, arguments, simulator, scenes, segments)
+    with kept(manifest, made, target.words, target.is_empty):
+        return _written(target, simulator, scenes, own, arguments.seed)
+
+
+def _written(target, simulator, scenes, own, seed):
+    """Write what is missing, and say what was done. Returns the exit status."""
+    from tqdm import tqdm
+
+    from gpusim.video.video import EncodedFile
+
     begun, worst, count, is_met = time.perf_counter(), None, 0, True
     total = sum(len(segment) for segment in own)
     with tqdm(total=total, unit="frame", disable=None) as bar:
-        for one in target.write(simulator, scenes, own, arguments.seed):
+        for one in target.write(simulator, scenes, own, seed):
             count += 1
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)
@@ -132,7 +141,7 @@ def video(arguments) -> int:
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
-        print(str(path) if target.finish() else f"{path} is made by the last of the shards")
+        print(str(target.path) if target.finish() else f"{target.path} is made by the last of the shards")
     return 0 if is_met else 1
 
 
@@ -167,19 +176,21 @@ def _scenes(arguments):
 
 
 def _target(path, arguments, simulator, scenes, segments):
-    """What is written, its manifest checked. Raises BadFile, UnknownName, OutOfRange."""
+    """What is written, its manifest's file and what that holds. Raises BadFile, UnknownName, OutOfRange."""
     import dataclasses
 
     from gpusim import __version__
     from gpusim.io.atomic import check_output
     from gpusim.io.frames import FORMATS, check_format
     from gpusim.video.codecs import CONTAINERS, Encoder, codec_of
-    from gpusim.video.manifest import digest, keep
+    from gpusim.video.manifest import digest, file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
     frames_of = blurred_frames if arguments.blur else frames
     camera, suffix = simulator.camera, path.suffix.lower()
-    made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names, "frames": scenes.count,
+    made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names,
+            "contents of files": [file_digest(name) for name in (scenes.names if len(arguments.scene) > 1 or Path(
+                arguments.scene[0]).is_dir() else arguments.scene)], "frames": scenes.count,
             "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
             "device": f"{simulator.device.kind}: {simulator.device.name}"}
     if suffix in CONTAINERS:
@@ -199,8 +210,7 @@ def _target(path, arguments, simulator, scenes, segments):
         except OSError as error:
             raise BadFile(target.folder, f"cannot be made: {error.strerror or error}") from error
         made |= {"fps": str(arguments.fps), "codec": arguments.codec, "quality": arguments.quality}
-        keep(target.folder / "video.json", made, f"the folder {target.folder}")
-        return target
+        return target, target.folder / "video.json", made
     if suffix not in FORMATS:
         raise UnknownName("output format", suffix or str(path), [*CONTAINERS, *FORMATS])
     if arguments.codec is not None or arguments.quality is not None:
@@ -212,5 +222,4 @@ def _target(path, arguments, simulator, scenes, segments):
     there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)
     if there is not None and not manifest.exists():
         raise BadFile(there, "is there already, and not of a video that was begun; remove it, or give -o another name")
-    keep(manifest, made, f"the files {numbered.name(0).name} ...")
-    return numbered
+    return numbered, manifest, made

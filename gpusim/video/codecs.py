@@ -1,10 +1,12 @@
 """Encoded videos by FFmpeg's libraries (PyAV): each segment by itself, then all in one file without encoding again.
 
-The encoders' threads are set, since what they give depends on their number. Colours are tagged: the display's primaries
+The encoders' threads are set, since what they give depends on their number; x264 looks ahead at no frame, where what it
+gave differed from run to run (heights that are not whole macroblocks). Colours are tagged: the display's primaries
 and curve, and BT.709's matrix where it is stored as luma and chroma, of limited range.
 """
 
 from collections.abc import Iterable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import reading
 from gpusim.planner.encoding import decoding
@@ -44,11 +46,12 @@ class Codec:
     quality: str = ""
 
 
+LEAST_H265 = 64  # pixels along each axis: libx265 ends the process for fewer
 PART = ".nut"  # of a segment's file, which holds what any encoder gives as it is
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # of FFV1, with a checksum of each slice
 CODECS = {
     "h264": Codec("libx264", "codes", "yuv420p", "rgb24", (".mp4", ".mkv"),
-                  (("preset", "veryfast"), ("threads", "4")), "crf"),
+                  (("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")), "crf"),
     "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", (".mp4", ".mkv"),
                   (("preset", "superfast"), ("x265-params", "log-level=error:frame-threads=2")), "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
@@ -65,8 +68,17 @@ def pyav():
         import av.filter
     except ImportError as error:
         raise GpusimError(f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'") from error
-    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_level(av.logging.FATAL)
     return av
+
+
+@contextmanager
+def _told(path):
+    """While FFmpeg writes a file: what it refuses is a BadFile."""
+    try:
+        yield
+    except pyav().error.FFmpegError as error:
+        raise BadFile(path, f"cannot be encoded: {error.strerror}") from error
 
 
 def codec_of(path: Path, name: str | None) -> Codec:
@@ -96,6 +108,9 @@ class Encoder:
         if codec.stored.startswith("yuv420") and (rows % 2 or cols % 2):
             raise OutOfRange("frame size of an encoded video", f"{cols}x{rows}", "even numbers of columns and rows, "
                              "or --codec ffv1-linear")
+        if codec.encoder == "libx265" and min(rows, cols) < LEAST_H265:
+            raise OutOfRange("frame size of h265", f"{cols}x{rows}", f"{LEAST_H265} columns and rows or more, or "
+                             "--codec h264")
         if quality is not None and not codec.quality:
             raise OutOfRange("--quality", quality, "none for ffv1, which loses nothing")
         self.codec, self.rate, self._display, self._shape, self._tone = codec, rate, display, shape, tone
@@ -104,7 +119,7 @@ class Encoder:
     def segment(self, path: Path, frames: Iterable[np.ndarray]):
         """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (3, rows, cols). Raises BadFile."""
         av = pyav()
-        with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+        with _told(path), atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
             stream, change = self._stream(container), self._changed(av)
             for number, values in enumerate(frames):
                 frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
@@ -116,7 +131,7 @@ class Encoder:
         """Write one file of segments' files, each with the number of its first frame. Raises BadFile."""
         # decoders take frames in another order than they show them, and begin so many frames before
         delay = max((number - shown for _, part in parts for number, shown, _ in self._packets(part)), default=0)
-        with atomic_path(path) as temporary, pyav().open(str(temporary), "w") as container:
+        with _told(path), atomic_path(path) as temporary, pyav().open(str(temporary), "w") as container:
             stream = self._stream(container)  # its encoder gives no frames, but what stands before them
             for first, part in parts:
                 for number, shown, packet in self._packets(part):

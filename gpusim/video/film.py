@@ -7,6 +7,7 @@ BT.601, and limited range.
 """
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -47,7 +48,7 @@ class Film:
             raise UnknownName("transfer function", transfer, set(TRANSFERS.values()))
         self._av = pyav()
         open_file(path).close()  # a folder or a pipe is refused
-        with reading(path, "a video"), self._av.open(str(path)) as container:
+        with self._reading(), self._av.open(str(path)) as container:
             if not container.streams.video:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
@@ -55,6 +56,10 @@ class Film:
             tags = context.color_trc, context.color_primaries, context.colorspace, context.color_range
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or sum(packet.size > 0 for packet in container.demux(stream))
+            told = container.duration if len(container.streams) == 1 else None  # [us]; sound may be longer
+            told = int((told or 0) * (stream.average_rate or 0) / 1_000_000)
+            if self.count < told - 1:
+                raise BadFile(path, f"ends after {self.count} of its {told} frames: it is truncated")
         if not self.count:
             raise BadFile(path, "has no frames")
         self._read_tags(tags, transfer, rows)
@@ -92,7 +97,7 @@ class Film:
         if self._at is None or self._at[0] > number:
             self._at = 0, self._decoded()
         begun, decoded = self._at
-        with reading(self.path, "a video"):
+        with self._reading():
             for at, frame in enumerate(decoded, begun):
                 if at == number:
                     self._at = number + 1, decoded
@@ -102,6 +107,15 @@ class Film:
                 raise BadFile(self.path, f"ends before its frame {number} of {self.count}: it is truncated")
         scene = self._lifted(codes)
         return checked_size(scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first")
+
+    @contextmanager
+    def _reading(self):
+        """While the file is read: what FFmpeg says of it is a BadFile."""
+        with reading(self.path, "a video"):
+            try:
+                yield
+            except self._av.error.FFmpegError as error:
+                raise BadFile(self.path, f"not a video, or truncated ({error.strerror})") from error
 
     def _decoded(self):
         with self._av.open(str(self.path)) as container:

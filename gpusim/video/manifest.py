@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -12,13 +14,31 @@ from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import read_text
 
+PARTS = ".parts"  # suffix of a folder of what is not complete
+ENDS = 2**16  # [byte] of a file that tell it from another of its size
 
-def keep(path: Path, made: dict, outputs: str):
-    """Write the manifest, or compare it with the one that is there.
 
-    made: plain data. outputs: what to remove for a video that begins anew. Raises BadFile where it is another video's.
+@contextmanager
+def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
+    """While a video is made: its manifest is there, or is the one that was there.
+
+    made: plain data. outputs: what to remove for a video that begins anew. is_empty: whether nothing was written: a
+    manifest that is new then goes again when the work fails. Raises BadFile where it is another video's.
     """
-    made = json.loads(json.dumps(made))
+    is_new = not path.exists()
+    _keep(path, json.loads(json.dumps(made)), outputs)
+    try:
+        yield
+    except BaseException:
+        if is_new and is_empty():
+            path.unlink(missing_ok=True)
+            if path.parent.suffix == PARTS:
+                with suppress(OSError):  # others are at work there
+                    path.parent.rmdir()
+        raise
+
+
+def _keep(path, made, outputs):
     if not path.exists():
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(made, indent=2) + "\n")
@@ -31,11 +51,26 @@ def keep(path: Path, made: dict, outputs: str):
     try:
         found = json.loads(read_text(path, "a manifest of a video", 2**26))
         others = [name for name in made if found.get(name) != made[name]]
+        named = [name for one in others for name in (
+            [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
+            if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
     except (ValueError, AttributeError) as error:
         raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
     if others:
-        raise BadFile(path, f"of a video with other {', '.join(others)}; give -o another name, or remove it and "
-                            f"{outputs}")
+        raise BadFile(path, f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}")
+
+
+def file_digest(path) -> str:
+    """Digest of a file's size, beginning and end; "" of what is no file, such as a chart's name."""
+    path = Path(path)
+    if not path.is_file():
+        return ""
+    found = sha256(str(path.stat().st_size).encode())
+    with path.open("rb") as file:
+        found.update(file.read(ENDS))
+        file.seek(max(path.stat().st_size - ENDS, 0))
+        found.update(file.read(ENDS))
+    return found.hexdigest()[:16]
 
 
 def digest(value) -> str:

@@ -27,11 +27,11 @@ class Shard:
             raise argparse.ArgumentTypeError(f"{text!r}: wanted I/N, I from 0 to N - 1, such as 0/4 .. 3/4")
         return cls(int(number), int(count))
 
-    def of(self, segments: list[range]) -> list[range]:
-        """Its segments. Raises OutOfRange where there are fewer segments than shards."""
+    def of(self, segments: list[range], option: str = "--segment") -> list[range]:
+        """Its segments. option: that sets their length. Raises OutOfRange where there are fewer of them than shards."""
         if self.count > len(segments):
             raise OutOfRange("--shard", f"{self.number}/{self.count}", f"up to {len(segments)} shards, one for each "
-                             f"segment of {len(segments[0])} frames; shorter segments (--segment) are more")
+                             f"{len(segments[0])}; a smaller {option} makes more")
         first, end = (part * len(segments) // self.count for part in (self.number, self.number + 1))
         return segments[first:end]
 

@@ -1,5 +1,6 @@
 """Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
 
+import glob
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
@@ -17,6 +18,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.simulator import Simulator
 from gpusim.video.codecs import PART, Codec, Encoder
+from gpusim.video.manifest import PARTS
 from gpusim.video.pipeline import ahead
 from gpusim.video.scenes import Moving, Scenes
 
@@ -109,6 +111,15 @@ class NumberedFiles:
     def __init__(self, path: Path, count: int, made: Callable = frames):
         self._path, self._digits, self._made = path, max(4, len(str(count - 1))), made
 
+    @property
+    def words(self) -> str:
+        """What is written, for messages."""
+        return f"the files {self.name(0).name} ..."
+
+    def is_empty(self) -> bool:
+        """Whether nothing was written yet."""
+        return not any(self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}"))
+
     def name(self, number: int) -> Path:
         """Of a frame."""
         return self._path.with_name(f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}")
@@ -143,7 +154,16 @@ class EncodedFile:
 
     def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range], made: Callable = frames):
         self.path, self._codec, self._encoder, self._segments, self._made = path, codec, encoder, segments, made
-        self.folder = path.with_name(f"{path.name}.parts")
+        self.folder = path.with_name(path.name + PARTS)
+
+    @property
+    def words(self) -> str:
+        """What is written, for messages."""
+        return f"the folder {self.folder}"
+
+    def is_empty(self) -> bool:
+        """Whether nothing was written yet."""
+        return not any(self.folder.glob(f"*{PART}"))
 
     def part(self, segment: range) -> Path:
         """The file of a segment."""
