@@ -5,7 +5,7 @@ gave differed from run to run (heights that are not whole macroblocks). Colours 
 and curve, and BT.709's matrix where it is stored as luma and chroma, of limited range.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -116,8 +116,11 @@ class Encoder:
         self.codec, self.rate, self._display, self._shape, self._tone = codec, rate, display, shape, tone
         self._options = dict(codec.options) | ({codec.quality: f"{quality:g}"} if quality is not None else {})
 
-    def segment(self, path: Path, frames: Iterable[np.ndarray]):
-        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (3, rows, cols). Raises BadFile."""
+    def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
+        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (3, rows, cols).
+
+        Gives the number of each that was taken; the file is there when all were. Raises BadFile.
+        """
         av = pyav()
         with _told(path), atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
             stream, change = self._stream(container), self._changed(av)
@@ -125,6 +128,7 @@ class Encoder:
                 frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
                 frame.pts, frame.time_base = number, 1 / self.rate
                 container.mux(stream.encode(change(frame)))
+                yield number
             container.mux(stream.encode(None))
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):

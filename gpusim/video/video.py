@@ -7,6 +7,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -176,20 +177,19 @@ class EncodedFile:
                           output=self._codec.output)
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
-                taken: list[Made] = []
-                yield from self._encoded(segment, computed, taken)
+                yield from self._encoded(segment, computed)
 
-    def _encoded(self, segment, computed, taken):
-        """Encode a segment; gives its frames when it is complete."""
+    def _encoded(self, segment, computed):
+        """Encode a segment; gives each of its frames when it was taken."""
+        taken: list[Made] = []
+
         def values():
-            for one in computed:
-                taken.append(one)
+            for one in islice(computed, len(segment)):
+                taken.append(replace(one, values=None))
                 yield one.values
-                if one.number == segment[-1]:
-                    return
 
-        self._encoder.segment(self.part(segment), values())
-        yield from taken
+        for number in self._encoder.segment(self.part(segment), values()):
+            yield taken[number]
 
     def finish(self) -> bool:
         """Join the segments where all are there, and remove them. Returns whether they were."""

@@ -205,7 +205,7 @@ def test_codes_of_luma_and_chroma_come_back(tmp_path):
     y, x = np.mgrid[:48, :64]
     smooth = np.stack([40 + 3 * x, 60 + 2 * y, 90 + x + y], axis=-1).astype(np.uint8)
     encoder = Encoder(CODECS["h264"], (48, 64), Fraction(24), PHONE.display, (), 0)
-    encoder.segment(tmp_path / "0.nut", [smooth] * 3)
+    assert list(encoder.segment(tmp_path / "0.nut", [smooth] * 3)) == [0, 1, 2]
     encoder.join(tmp_path / "a.mp4", [(0, tmp_path / "0.nut")])
     for scene in Film(tmp_path / "a.mp4").between(0, 3):
         wrong = scene.content.codes.astype(int) - smooth
@@ -307,7 +307,7 @@ def test_an_encoder_gives_the_same_frames_each_time(tmp_path):
     found = set()
     for _ in range(40):
         junk = [random.random(random.integers(1000, 300000)) for _ in range(5)]  # memory is not what it was
-        Encoder(CODECS["h264"], (200, 320), Fraction(30), PHONE.display).segment(tmp_path / "0.nut", frames)
+        list(Encoder(CODECS["h264"], (200, 320), Fraction(30), PHONE.display).segment(tmp_path / "0.nut", frames))
         found.add(b"".join(frame.tobytes() for _, frame in decoded(tmp_path / "0.nut")[0]))
         del junk
     assert len(found) == 1
