@@ -393,13 +393,14 @@ def make_bad_files():
 
 def test_existing_output_survives_a_failure(tmp_path, capsys, monkeypatch):
     """The writer breaks off in the middle of the file."""
-    def broken(self, path, **options):
-        Path(path).write_bytes(b"half a pic")
+    def broken(self, data):
+        with self.open("wb") as file:
+            file.write(data[:10])
         raise OSError("disk full")
 
     target = tmp_path / "a.png"
     target.write_bytes(b"precious")
-    monkeypatch.setattr(Image.Image, "save", broken)
+    monkeypatch.setattr(Path, "write_bytes", broken)
     status, _, err = run(capsys, "simulate", "flat", "--camera", "phone", "--size", "8x8", "--device", "numpy", "-o",
                          target)
     assert status == 2 and "disk full" in err

@@ -72,7 +72,7 @@ def test_tiles_of_several_devices_make_one_frame(whole):
 def test_width_and_work_group_do_not_matter(monkeypatch, whole):
     inputs, frame = whole
     device = open_device("opencl")
-    monkeypatch.setattr(opencl_backend, "CPU_GROUP", 24)
+    monkeypatch.setattr(opencl_backend, "CPU_GROUPS", (24, 1))
     np.testing.assert_array_equal(noise(**inputs, device=device), frame)
     monkeypatch.setattr(device, "is_gpu", not device.is_gpu)  # which decides the width, 1 or 8, and the work-groups
     np.testing.assert_array_equal(noise(**inputs, device=device), frame)
