@@ -76,7 +76,7 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
     instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
     the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
-    Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than MOST of them.
+    Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than COUNTS has.
     """
     scene, sensor = checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)

@@ -61,6 +61,9 @@ def pairs(arguments) -> int:
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
     for speed in varied.get("iso", ()):
         gain_of(camera, speed)  # said before the work
+    if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
+        raise OutOfRange("--vary iso", "with automatic exposure, which chooses the gain", "with --exposure TIME, or "
+                         "--vary exposure=LOW..HIGH")
     photographs = _photographs(arguments)
     opened = _opener(arguments)
     opened(photographs[0], arguments.vary.drawn(arguments.seed, 0))

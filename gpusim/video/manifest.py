@@ -38,16 +38,20 @@ def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
         raise
 
 
+class _IsThere(Exception):
+    """Another shard was faster."""
+
+
 def _keep(path, made, outputs):
     if not path.exists():
-        with atomic_path(path) as temporary:
+        with suppress(_IsThere), atomic_path(path) as temporary:
             temporary.write_text(json.dumps(made, indent=2) + "\n")
             try:
-                os.link(temporary, path)  # the first of several shards writes it
+                os.link(temporary, path)  # the first of several shards writes it, and no other over it
             except FileExistsError:
-                pass
-            except OSError:  # a file system without links
-                return
+                raise _IsThere from None
+            except OSError:
+                pass  # a file system without links: the last one writes it
     try:
         found = json.loads(read_text(path, "a manifest of a video", 2**26))
         others = [name for name in made if found.get(name) != made[name]]

@@ -52,7 +52,7 @@ def test_a_frame_errs_no_more_than_it_says(motion, row_time):
         if tolerance is not None:
             error = np.array(simulator.device.numpy(exposure.mean)) - truth
             stated = exposure.plan.account.bounds["shutter"].rms
-            # the truth's own: a row opens half of an instant too early or too late
+            # the truth's own: rows open half of an instant, of 320 or more in 10 to 13 ms, too early or late: 0.2 %
             assert np.sqrt(np.mean(error**2) / np.mean(truth**2)) < stated + 2e-3
             assert 1.5 * stated <= 0.5 * tolerance
         else:
@@ -92,7 +92,8 @@ def test_rows_see_the_camera_where_it_is_then():
     bright = mean.max(axis=1, keepdims=True)
     edge = 120 - 2 * (mean / bright).sum(axis=1)  # where the bright part begins, up to a constant
     lean = np.polyfit(np.arange(60)[1::2][3:-3], edge[3:-3], 1)[0]
-    assert lean == pytest.approx(-speed * row_time / 1.0 * 0.9, rel=0.06)  # the dark part counts a tenth
+    # the dark part counts a tenth; 1 % is a sixth of a sample over the frame's 16 of lean
+    assert lean == pytest.approx(-speed * row_time * 0.9, rel=0.01)
 
 
 def test_a_resting_camera_is_one_picture_and_odd_numbers_are_refused():

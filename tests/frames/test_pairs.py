@@ -143,6 +143,7 @@ def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
             "no scene files": [tmp_path / "empty"], "no such file": [tmp_path / "none.png"],
             "both given": [photographs, "--iso", "200", "--vary", "iso=100..200"],
             "base speed": [photographs, "--vary", "iso=1..200"],
+            "automatic exposure": [photographs, "--exposure", "auto", "--vary", "iso=200..400"],
             "smaller --in-shard": [photographs, "--in-shard", "3", "--shard", "0/3"],
             "unknown light": [photographs, "--vary", "light=D65|foo"]}.items():
         assert main(["pairs", *map(str, arguments), "--camera", "phone", "--device", "numpy", "-o",

@@ -9,6 +9,8 @@ import time
 from dataclasses import replace
 from fractions import Fraction
 
+import av
+import colour
 import numpy as np
 import pytest
 from cameras import PHONE
@@ -20,11 +22,11 @@ from gpusim.cli import main
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.video.codecs import CODECS, Encoder
 from gpusim.video.film import TRANSFERS, Film, light_of
+from gpusim.video.manifest import kept
 from gpusim.video.pipeline import ahead
 from gpusim.video.segments import Shard, segments_of
 from gpusim.video.video import within_period
 
-av = pytest.importorskip("av")
 COUNT = 8
 ASKED = ["--camera", "phone", "--seed", "3", "--segment", "3"]
 
@@ -59,12 +61,10 @@ def files(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith(".json")}
 
 
-@pytest.mark.parametrize("suffix", [".png", ".dng"])
-@pytest.mark.parametrize("device", ["numpy", *KINDS])
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(("moving", "device", "suffix"), [
+    *((moving, device, ".png") for moving in (False, True) for device in ("numpy", *KINDS)),
+    *((False, device, ".dng") for device in KINDS)])
 def test_resumed_and_in_parts_are_the_frames_of_one_run(moving, device, suffix, pictures, tmp_path, capsys):
-    if suffix == ".dng" and (device == "numpy" or moving):
-        pytest.skip("the same frames in another format are enough once")
     asked = [pictures, "--device", device, "--exposure", "auto", *ASKED]
     if moving:
         asked += ["--shake", "2", "--zoom", "1.1", "--zooming", "1.3", "--pan", "10,-20", "--roll", "30"]
@@ -143,11 +143,11 @@ def test_an_encoded_video_in_parts_is_that_of_one_run(codec, suffix, pictures, t
     luma = codes @ (0.2126, 0.7152, 0.0722)  # BT.709-6, 3.2; 219 steps from 16 on
     scale = 4 if codec == "h265" else 1
     frame = one[0][1][: len(codes)] / scale
-    assert np.sqrt(np.mean((frame - 16 - 219 * luma) ** 2)) < 2.5 and abs(np.mean(frame - 16 - 219 * luma)) < 0.3
+    # a quantiser's step at the rate factor 6 is 1.25 (ITU-T H.264, 8.5.9), its error half of it; luma is rounded
+    assert np.sqrt(np.mean((frame - 16 - 219 * luma) ** 2)) < 1.25 and abs(np.mean(frame - 16 - 219 * luma)) < 0.3
 
 
 def test_light_of_codes_is_that_of_the_standards():
-    colour = pytest.importorskip("colour")
     code = np.arange(1024) / 1023
     models = colour.models
     for name, expected in (("bt709", models.oetf_inverse_BT709(code)), ("srgb", models.eotf_sRGB(code)),
@@ -189,7 +189,6 @@ def test_a_film_is_read_as_its_tags_say(bits, tag, tmp_path):
 
 def test_wide_gamuts_become_srgb_light(tmp_path):
     """Grey stays grey, BT.2020's green is beyond sRGB's, and its light is as the standard's primaries say."""
-    colour = pytest.importorskip("colour")
     codes = np.zeros((8, 12, 3), np.uint16)
     codes[:, :6], codes[:, 6:] = 32768, (30000, 40000, 35000)
     film(tmp_path / "a.mkv", [codes], "ffv1", "gbrp16le", "gbrp16le", (9, 8, 0, 2))
@@ -296,6 +295,19 @@ def test_a_file_that_has_changed_is_another_video(tmp_path, capsys):
             assert "contents of files" in refused(capsys, *asked)
         else:
             made(capsys, *asked)
+
+
+def test_a_manifest_of_a_faster_shard_is_not_written_over(tmp_path, monkeypatch):
+    path = tmp_path / "video.json"
+
+    def faster(_, target):
+        target.write_text('{"seed": 1}')
+        raise FileExistsError
+
+    monkeypatch.setattr("gpusim.video.manifest.os.link", faster)
+    with pytest.raises(BadFile, match="other seed"), kept(path, {"seed": 2}, "it", lambda: True):
+        pass
+    assert path.read_text() == '{"seed": 1}' and list(tmp_path.iterdir()) == [path]
 
 
 def test_an_encoder_gives_the_same_frames_each_time(tmp_path):
