@@ -33,7 +33,7 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     if plan.mix is not None:
         total += _tables(plan) + _blur(plan, device, planes, content.shape)
     if plan.far is not None:
-        total += _far(plan, planes, content.shape)
+        total += _far(plan, device, planes, content.shape)
     if plan.falloff is not None:
         total += 4 * len(plan.weights) * prod(scene.shape)
     if plan.depth is not None:  # every kernel's and layer's light and coverage, and the copies that are laid together
@@ -129,16 +129,20 @@ def _by_tiles(plan, device, planes):
     return total
 
 
-def _far(plan, planes, shape):
-    """Splines of the far field, from the planes to the lines of every channel, tables without it, and rates with it."""
+def _far(plan, device, planes, shape):
+    """Splines of the far field, tables without it, and rates with it; on the host also what is between its axes."""
     down, across = axes(shape, plan.far.sigmas, plan.far.border, plan.far.spacings)
-    channels, (high, wide) = len(plan.weights), (axis.splines(0) for axis in (down, across))
-    values = planes * high * (shape[1] + wide) + channels * prod(plan.scene.samples) // plan.scene.samples[1] * wide
-    for level in range(down.levels):
-        (high, wide), part = (axis.splines(level) for axis in (down, across)), down.of_level(level)
-        values += 2 * channels * high * wide * len(plan.far.sigmas[part]) + channels * high * wide
-        if level:  # from the one before and back
-            values += planes * high * (4 * wide + wide) + channels * 4 * high * wide
+    channels, last = len(plan.weights), down.levels - 1
+    values = 0
+    for level in range(down.levels):  # what it has, and its light
+        high, wide = (axis.splines(level) for axis in (down, across))
+        values += (planes + channels) * high * wide
+        if device.on_host:
+            values += 2 * channels * high * wide * len(plan.far.sigmas[down.of_level(level)])
+        if device.on_host and level < last:  # halves of the ways to the next level and back
+            values += (planes + channels) * high * across.splines(level + 1)
+    if device.on_host:
+        values += planes * down.splines(0) * shape[1] + channels * plan.scene.samples[0] * across.splines(0)
     quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
     tables = len(plan.q) if plan.transfers is None else prod(plan.transfers.shape[:2])
     return 4 * (values + tables * quarter + (1 if plan.folded else channels) * prod(plan.scene.samples))

@@ -10,6 +10,8 @@ c = cfa[y mod ph, x mod pw] of a mosaic. The Gaussians are wide, so that grids o
 """
 
 import functools
+from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -23,6 +25,10 @@ LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly of the same places
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
 GROUP = 4, 16  # its work-items at a time, whose results fill whole lines of the cache when they are turned
+GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
+WIDE, HIGH, LOW = 32, 8, 2  # columns of a work-group's result there, and blocks of four rows: of large grids and small ones
+MANY = 256  # work-groups, so that all of a GPU is busy
+STEP = 8192  # bytes of local memory: few sizes, so that few kernels are built
 
 
 @stage
@@ -45,7 +51,9 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=S
         raise OutOfRange("planes", f"{shape[1]} x {shape[0]} samples", f"at least {LEAST_SIDE} along each axis")
     if not (sigmas[0] >= LEAST_SIGMA and np.all(sigmas[1:] > sigmas[:-1])):
         raise OutOfRange("sigmas", sigmas, f"growing ones from {LEAST_SIGMA:g} samples on")
-    chain = _Chain(device, *axes(shape, sigmas, border, spacings))
+    down, across = axes(shape, sigmas, border, spacings)
+    grids = None if device.on_host else _Grids(device, down, across)
+    chain = grids if grids is not None and grids.fit else _Chain(device, down, across)
     light = chain.coefficients(device.array(planes), weights.astype(np.float32))
     return chain.added(device.array(onto), light, cfa, margin)
 
@@ -119,6 +127,118 @@ class _Chain:
 
     def _matrices(self, axis, name, of=None):
         return _bands(self.device, axis, name, of, self.block)
+
+
+class _Grids:
+    """The same on a GPU, both axes at once: a work-group's local memory has what is between them."""
+
+    def __init__(self, device, down, across):
+        self.device, self.down, self.across = device, down, across
+
+    @property
+    def fit(self) -> bool:
+        """Whether local memory holds it."""
+        last = self.down.levels - 1
+        made = [("analysis", None), *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
+                *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)])]
+        return all(self._shared(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made)
+
+    def coefficients(self, planes, weights):
+        """Splines of the first level, (channels, rows, cols), that are the far field."""
+        return self._of_level(self._both(planes, "analysis"), weights, 0)
+
+    def _of_level(self, own, weights, level):
+        some = np.ascontiguousarray(weights[:, :, self.down.of_level(level)])
+        light = self._both(own, "filters", level, weights=some) if some.size else None
+        if level == self.down.levels - 1:
+            return light
+        wide = self._of_level(self._both(own, "restriction", level), weights, level + 1)
+        return self._both(wide, "prolongation", level, onto=light)
+
+    def _shared(self, name, of, high):
+        """Matrices of both axes, and bytes in local memory."""
+        down, across = (_tiled(self.device, axis, name, of, *by) for axis, by in (
+            (self.down, (4, high)), (self.across, (1, WIDE))))
+        return down, across, -(-4 * (4 * high * across.span + WIDE * down.span) // STEP) * STEP
+
+    def _both(self, given, name, of=None, weights=None, onto=None):
+        """Both axes' products, (batch, rows, cols), added to `onto` if there is one.
+
+        weights: shape (channels, planes, matrices), which mix the planes of a channel for each of the matrices, whose
+        products are added up.
+        """
+        device, (planes, *size) = self.device, given.shape
+        batch, sums = (planes, 1) if weights is None else weights.shape[::2]
+        down, across, room = self._shared(name, of, HIGH)
+        high = HIGH
+        if batch * down.tiles * across.tiles < MANY:
+            high, (down, across, room) = LOW, self._shared(name, of, LOW)
+        out = onto if onto is not None else device.empty((batch, down.rows, across.rows))
+        groups = batch * down.tiles * across.tiles
+        device.launch(GROUPS_STAGE, "both", (groups * WIDE * high,), given,
+                      given if weights is None else _constant(device, weights.tobytes(), weights.shape),
+                      *down.arrays, *across.arrays, out, int(onto is not None), int(weights is not None), across.span,
+                      planes,
+                      *size, down.rows, across.rows, down.blocks, down.most, across.most, sums, down.tiles,
+                      across.tiles, group=(WIDE * high,), defines=_defines(high, room))
+        return out
+
+    def added(self, onto, light, cfa, margin):
+        """The mosaic, or every channel, with the splines' values."""
+        device, (rows, cols), (_, high, wide) = self.device, onto.shape[-2:], light.shape
+        pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
+        out, pixels, group = device.empty(onto.shape), prod(onto.shape), WIDE * HIGH
+        device.launch(GROUPS_STAGE, "evaluate", (-(-pixels // group) * group,), onto, light,
+                      *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin),
+                      _constant(device, pattern.tobytes(), pattern.shape, np.int32), out, pixels, rows, cols, high, wide,
+                      *pattern.shape, group=(group,), defines=_defines(HIGH, STEP))
+        return out
+
+
+@dataclass(frozen=True)
+class _Tiled:
+    """Matrices on the device, of which a work-group makes some rows.
+
+    arrays: values, start and count of their rows, and first column and number of columns of every work-group's, as
+    the kernel takes them. rows: of a matrix. blocks: of rows. most: entries of a row. tiles: work-groups along the
+    axis. span: columns of a work-group at most.
+    """
+
+    arrays: tuple
+    rows: int
+    blocks: int
+    most: int
+    tiles: int
+    span: int
+
+
+@functools.lru_cache(maxsize=128)
+def _tiled(device, axis, name, of, block, high):
+    """An axis's matrices of this name, `block` of their rows at a time, `high` blocks to a work-group."""
+    made = getattr(axis, name)
+    made = (made if of is None else made(of)).in_blocks(block)
+    number, blocks, most, _ = made.values.shape
+    tiles = -(-blocks // high)
+    more = [(0, 0), (0, tiles * high - blocks)]
+    start, end = (np.pad(array, more, mode="edge").reshape(number, tiles, high)
+                  for array in (made.start, made.start + made.count))
+    first, wide = start.min(axis=2), end.max(axis=2) - start.min(axis=2)
+    values = made.values if block > 1 else made.values[..., 0].swapaxes(1, 2)
+    arrays = (device.array(np.ascontiguousarray(values)), device.array(made.start, np.int32),
+              device.array(made.count, np.int32), device.array(np.stack([first, wide], axis=2), np.int32))
+    return _Tiled(arrays, made.rows, blocks, most, tiles, int(wide.max()))
+
+
+@functools.lru_cache(maxsize=32)
+def _at_samples(device, axis, margin):
+    """Weights of the four splines at the samples of an axis, (samples, 4), and the first of them."""
+    bands = axis.synthesis(margin)
+    assert bands.values.shape[2] == 4
+    return device.array(bands.values[0]), device.array(bands.start[0], np.int32)
+
+
+def _defines(high, room):
+    return {"HIGH": high, "THREADS": WIDE * high, "LOCAL_BYTES": room}
 
 
 @functools.lru_cache(maxsize=128)

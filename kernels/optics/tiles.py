@@ -128,24 +128,27 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
     together = images if np.prod(period) > 1 else 1
     group = min(GROUP, device.group_limit)
     room = _room(side, period, len(outputs))
+    first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
+    *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
     defines = {"THREADS": group, "REGISTERS": REGISTERS, "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
                "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
-               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "BORDER": BORDERS[border],
-               "COLUMNS": _tile_passes(side, side, 1, -1, "COLUMN"), "ROWS": _tile_passes(side, side, 1, -1, "ROW"),
-               "BACK_X": _tile_passes(small[1], together * small[0], period[1], 1, "BACK_ROW"),
-               "BACK_Y": _tile_passes(small[0], together * small[1], period[0], 1, "BACK_COLUMN"),
-               "TURNS_Y": fft.roots_text(period[0]), "TURNS_X": fft.roots_text(period[1])}
+               "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "OWN_TABLES": int(tables.shape[0] > 1),
+               "BORDER": BORDERS[border], "FIRST": first, "COLUMNS": " ".join(columns),
+               "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),
+               "BACK_X": " ".join(_in_place(small[1], together * small[0], 1, "BACK_ROWS")),
+               "BACK_Y": " ".join(back), "LAST": last, "PLACE_SIDE(f)": _place(side), "PLACE_Y(f)": _place(small[0]),
+               "PLACE_X(f)": _place(small[1]), "TURNS_Y": fft.roots_text(period[0]),
+               "TURNS_X": fft.roots_text(period[1])}
     device.launch(GROUPS_STAGE, "tiles", (count[0] * count[1] * group,), planes, tables,
-                  fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side), out,
-                  int(tables.shape[0] > 1), margin, number, rows, cols, *out.shape[1:], count[1], group=(group,),
-                  defines=defines)
+                  fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side), out, margin, 0, number,
+                  rows, cols, *out.shape[1:], count[1], group=(group,), defines=defines)
 
 
 def _room(side, period, outputs):
-    """Bytes of a tile in local memory: complex, and before that its outputs, two in one."""
+    """Bytes of local memory: a tile, complex, later its outputs, two in one; and roots of unity."""
     small = [side // n for n in period]
     together = (outputs + 1) // 2 if prod(period) > 1 else 1
-    return 8 * max(side * (side + 1), together * small[0] * (small[1] + 1))
+    return 8 * (max(side * (side + 1), together * small[0] * (small[1] + 1)) + side)
 
 
 def _radices(length):
@@ -157,11 +160,23 @@ def _radices(length):
     return found
 
 
-def _tile_passes(length, lines, step, sign, place):
-    """TILE_PASSes of a transform; roots are those of length x step."""
+def _in_place(length, lines, sign, where, first=None, last=None):
+    """PASSes_IN_PLACE of a transform along lines of a place, which begins or ends at another."""
     radices = _radices(length)
-    return " ".join(f"TILE_PASS({radix}, {prod(radices[:n])}, {length}, {lines}, {step}, {sign}.0f, {place})"
-                    for n, radix in enumerate(radices))
+    passes = [(radix, length // prod(radices[:n])) for n, radix in enumerate(radices)][::-sign]
+    reads, writes = [f"IN_{where}"] * len(passes), [f"TO_{where}"] * len(passes)
+    reads[0], writes[-1] = first or reads[0], last or writes[-1]
+    return [f"PASS_IN_PLACE({radix}, {block}, {length}, {lines}, {sign}.0f, {read}, {write})"
+            for (radix, block), read, write in zip(passes, reads, writes, strict=True)]
+
+
+def _place(length):
+    """Where transforms in place leave frequency f: its digits to the radices, the first the most significant."""
+    places, radices = [], _radices(length)
+    for n, radix in enumerate(radices):
+        before, own = prod(radices[:n]), prod(radices[: n + 1])
+        places.append(f"(f) / {before} % {radix} * {length // own}")
+    return f"({' + '.join(places)})"
 
 
 def _passes(length, step, sign, source, target):
