@@ -39,7 +39,8 @@ struct Kernels {
 float4 quad(const float2 a, const float2 b) { return make_float4(a.x, a.y, b.x, b.y); }
 """
 
-ELEMENTS = {"float2": "float", "float4": "float", "float": "float", "int": "int", "ushort": "wp.uint16"}  # of arrays there and in Warp
+# Elements of arrays there and in Warp
+ELEMENTS = {"float2": "float", "float4": "float", "float": "float", "int": "int", "ushort": "wp.uint16"}
 
 
 def native_kernel(wp, stage, kernel, defines, ranks):

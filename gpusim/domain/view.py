@@ -40,7 +40,7 @@ class View:
     @property
     def is_plain(self) -> bool:
         """Whether the frame shows the middle of the scene, as it is."""
-        return self == View()
+        return self.zoom == 1 and not (self.rotation or any(self.shift))
 
     def is_whole(self, ratio: float = 1.0) -> bool:
         """Whether it shows samples where they are: displaced by whole ones. ratio: samples per pixel."""

@@ -265,8 +265,12 @@ def _cubic(x):
 
 
 def _taps(sigma, half):
-    """Values g_-half .. g_half of the filter whose transfer function is that of a Gaussian over sinc^8 [spacing]."""
+    """Values g_-half .. g_half of the filter whose transfer function is that of a Gaussian over sinc^8 [spacing].
+
+    Their sum is one, so that flat light stays what it is, however few they are.
+    """
     length = 1 << int(np.ceil(np.log2(2 * half + 64)))
     frequency = np.fft.rfftfreq(length)
     taps = np.fft.irfft(np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8, length)
-    return taps[abs(np.arange(-half, half + 1))]
+    taps = taps[abs(np.arange(-half, half + 1))]
+    return taps / taps.sum()

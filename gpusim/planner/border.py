@@ -189,6 +189,12 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     @cached_property
+    def darkest(self) -> tuple[float, float]:
+        """99.9 % quantile and maximum over the frame of 1 / `sigmas`."""
+        least = 1 / self.sigmas
+        return float(np.quantile(least, 0.999)), float(least.max())
+
+    @cached_property
     def _squares(self):
         return np.square(self.image, dtype=np.float64)
 

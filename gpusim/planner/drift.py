@@ -17,6 +17,7 @@ stage `spectral.survey` measures all three on a device, without moments and in o
 """
 
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
@@ -73,20 +74,21 @@ class Watch:
         nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
         return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
-    def error(self, survey) -> float:
+    def errors(self, survey) -> tuple[float, float]:
         """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
 
         survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger, by at
         most the root of `left` E[|d|^2] / signal, d the differences of entries; 0 without a signal. NaN where the
-        content has NaN: compare so that it fails.
+        content has NaN: compare so that it fails. Then the same of the pair of rows where it is largest, over the
+        signal of all.
         """
-        signal, errors = self._squares(survey)
-        return self.factor * float(np.sqrt(errors.mean() / signal)) if signal != 0 else 0.0
-
-    def steepest(self, survey) -> float:
-        """The same of the pair of rows where it is largest, over the signal of all."""
-        signal, errors = self._squares(survey)
-        return self.factor * float(np.sqrt(errors.max() / signal)) if signal != 0 else 0.0
+        found, signals = np.asarray(survey, np.float64), len(self.flat)
+        signal = found[:, 0, :signals].sum() / len(found)
+        if signal == 0:
+            return 0.0, 0.0
+        squares = found[:, 1:, signals:].sum(axis=1)
+        each = squares[:, :-1].sum(axis=1) + self.left * squares[:, -1]
+        return self.factor * sqrt(each.mean() / signal), self.factor * sqrt(each.max() / signal)
 
     def falling(self, moments) -> tuple:
         """`falls` where operators of one plane more, two more ... have such moments M'.
@@ -107,13 +109,6 @@ class Watch:
         allowed = (limit / self.factor) ** 2 * values[:signals].sum()
         return 1 + next((more for more, fall in enumerate(self.falls) if fall @ differences[signals:-1] <= allowed),
                         len(self.falls))
-
-    def _squares(self, survey):
-        """Mean square of the signal, and of the error in every pair of rows."""
-        values, across, down = np.moveaxis(np.asarray(survey, np.float64), 1, 0)
-        differences, signals = across + down, len(self.flat)
-        signal = values[:, :signals].sum(axis=1).mean()
-        return signal, differences[:, signals:-1].sum(axis=1) + self.left * differences[:, -1]
 
 
 def wrong_moments(response: Response, table, transfers) -> np.ndarray:

@@ -11,6 +11,7 @@ from math import pi, sqrt
 
 import numpy as np
 
+from gpusim.optics.ladder import LEAST as LEAST_SIGMA
 from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
 from gpusim.optics.splines import SPACINGS
 from gpusim.planner.border import Outside, border_indices, rule_of
@@ -23,8 +24,10 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
-TILES_SPLINES = 2.5e-6  # relative RMS in q of the splines beside tiles: within a factor of 2.5 of most of 30 scenes
-TILES_RATIO, TILES_SPACINGS = 1.8, 1.6  # of Gaussians and splines, fewer than elsewhere
+TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
+# Relative RMS in q of the splines beside tiles, by how many spacings are in a Gaussian of LEAST samples; less as the
+# square of a wider one. Measured on leaves and a ColorChecker, q .4 to 1.6: within 20 %
+TILES_SPLINES = {1.0: 6e-5, 1.2: 1.8e-5, 1.6: 4e-6}
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
@@ -79,10 +82,12 @@ def tails_of(question: Question) -> np.ndarray:
                 variance(optics, question.pitch, question.cell))
 
 
-def far_field(question: Question, tails, reach: float, side: int | None = None) -> FarField | None:
+def far_field(question: Question, tails, reach: float, side: int | None = None,
+              spacings: float = SPACINGS) -> FarField | None:
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
 
     tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
+    spacings: see `FarField`, one of TILES_SPLINES beside tiles.
     """
     optics = question.optics
     rings = RINGS * question.mean_q
@@ -90,8 +95,7 @@ def far_field(question: Question, tails, reach: float, side: int | None = None) 
         rings *= 2 / (1 - optics.pupil.obscuration)
     if reach < RADII * question.spread or (side is None and reach < max(rings, LEAST_REACH)):
         return None
-    ratio, spacings = (RATIO, SPACINGS) if side is None else (TILES_RATIO, TILES_SPACINGS)
-    sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, ratio)
+    sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO)
     return FarField(sigmas, tails, rule_of(question.scene.border), spacings)
 
 
@@ -109,11 +113,12 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
 
 
-def spline_error(outside: Outside, question: Question) -> float:
+def spline_error(far: FarField, outside: Outside, question: Question) -> float:
     """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
     if not outside.level > 0:
         return 0.0
-    return sqrt((TILES_SPLINES * question.mean_q) ** 2 + SPLINES**2) + outside.missing / outside.level
+    splines = TILES_SPLINES[far.spacings] * question.mean_q * (LEAST_SIGMA / far.sigmas[0]) ** 2
+    return sqrt(splines**2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

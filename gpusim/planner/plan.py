@@ -145,7 +145,8 @@ class Plan:
 
     def lasts(self, exposure_time: float | None) -> bool:
         """Whether a tolerance that it meets is met by it at another exposure time [s], too; None: that of its own."""
-        if exposure_time is None or self.tolerance is None or self.verdict is None or not self.verdict.met:
+        if exposure_time in (None, self.account.seconds) or self.tolerance is None or (
+                self.verdict is None or not self.verdict.met):
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).met
 

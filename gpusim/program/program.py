@@ -332,8 +332,8 @@ class Program:
         plan, scene, probing, self._drift = look.plan, look.scene, self.before.probing, None
         if look.survey is not None:
             found = look.survey()
-            self._drift = plan.watch.error(found)
-            probing.surveyed(plan, scene, self._drift, plan.watch.steepest(found))
+            self._drift, steepest = plan.watch.errors(found)
+            probing.surveyed(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):

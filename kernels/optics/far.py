@@ -26,7 +26,8 @@ BLOCK = 4  # rows of a matrix that a CPU makes at once: their entries are mostly
 SPANS = 2  # vectors of lanes that it makes at once: with 4 rows, 8 sums in 16 registers
 GROUP = 4, 16  # its work-items at a time, whose results fill whole lines of the cache when they are turned
 GROUPS_STAGE = "optics.far_groups"  # the kernels of GPUs
-WIDE, HIGH, LOW = 32, 8, 2  # columns of a work-group's result there, and blocks of four rows: of large grids and small ones
+WIDE, LINES = 32, 8  # columns of a work-group's result there, and its lines of so many work-items
+HIGH, LOW = 8, 2  # blocks of four rows of its result: of large grids and of small ones
 MANY = 256  # work-groups, so that all of a GPU is busy
 STEP = 8192  # bytes of local memory: few sizes, so that few kernels are built
 
@@ -41,7 +42,7 @@ def far(device, onto, planes, weights, sigmas, cfa, border, margin=0, spacings=S
     as its edge, of the frame of one that is mirrored, 0 of a dark one. cfa: channel of each pixel of one period of the
     mosaic, shape (ph, pw); None for every channel. border: "zero", "edge" or "reflect". margin: samples of the planes
     on each side that `onto` is without, or, below 0, that it has more, up to LEAST_SIGMA / 3. spacings: of splines in
-    the first of the standard deviations: 2.8 errs by 1e-7 of a scene's root mean square, 1.6 by 1e-6.
+    the first of the standard deviations: 2.8 errs by 1e-7 of a scene's root mean square, 1.6 by 1e-6, 1 by 3e-5.
     Returns the shape of onto. Raises OutOfRange for planes of less than LEAST_SIDE samples a side and Gaussians below
     LEAST_SIGMA. Source: the sum is the formula; for its grids see `gpusim.optics.splines`.
     """
@@ -139,18 +140,21 @@ class _Grids:
     def fit(self) -> bool:
         """Whether local memory holds it."""
         last = self.down.levels - 1
-        made = [("analysis", None), *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
+        made = [("analysis", None),
+                *((name, level) for level in range(last) for name in ("restriction", "prolongation")),
                 *(("filters", n) for n in range(last + 1) if self.down.sigmas[self.down.of_level(n)])]
         return all(self._shared(name, of, HIGH)[-1] <= self.device.local_bytes for name, of in made)
 
     def coefficients(self, planes, weights):
-        """Splines of the first level, (channels, rows, cols), that are the far field."""
+        """Splines of the first level, (channels, 1, rows, cols), that are the far field."""
+        planes = self.device.reshape(planes, (planes.shape[0], 1, *planes.shape[1:]))
         return self._of_level(self._both(planes, "analysis"), weights, 0)
 
     def _of_level(self, own, weights, level):
-        some = np.ascontiguousarray(weights[:, :, self.down.of_level(level)])
-        light = self._both(own, "filters", level, weights=some) if some.size else None
-        if level == self.down.levels - 1:
+        """What a level and those beyond it make of what it has, in parts whose sum it is: (channels, parts, ...)."""
+        some, is_last = np.ascontiguousarray(weights[:, :, self.down.of_level(level)]), level == self.down.levels - 1
+        light = self._both(own, "filters", level, weights=some, in_parts=is_last) if some.size else None
+        if is_last:
             return light
         wide = self._of_level(self._both(own, "restriction", level), weights, level + 1)
         return self._both(wide, "prolongation", level, onto=light)
@@ -159,39 +163,41 @@ class _Grids:
         """Matrices of both axes, and bytes in local memory."""
         down, across = (_tiled(self.device, axis, name, of, *by) for axis, by in (
             (self.down, (4, high)), (self.across, (1, WIDE))))
-        return down, across, -(-4 * (4 * high * across.span + WIDE * down.span) // STEP) * STEP
+        return down, across, -(-4 * (4 * LINES * max(across.span, WIDE) + WIDE * down.span) // STEP) * STEP
 
-    def _both(self, given, name, of=None, weights=None, onto=None):
-        """Both axes' products, (batch, rows, cols), added to `onto` if there is one.
+    def _both(self, given, name, of=None, weights=None, onto=None, in_parts=False):
+        """Both axes' products of (batch, parts, rows, cols), of which the parts are added up, and to `onto` if given.
 
-        weights: shape (channels, planes, matrices), which mix the planes of a channel for each of the matrices, whose
-        products are added up.
+        weights: shape (channels, batch, matrices), which mix channels of the batch for each of the matrices, whose
+        products are added up. in_parts: or, where there is little to do, are not.
         """
-        device, (planes, *size) = self.device, given.shape
-        batch, sums = (planes, 1) if weights is None else weights.shape[::2]
-        down, across, room = self._shared(name, of, HIGH)
-        high = HIGH
+        device, (batch, planes, *size) = self.device, given.shape
+        stride, sums = planes, 1
+        if weights is not None:
+            (batch, planes, sums), stride = weights.shape, 0
+        high, parts, (down, across, room) = HIGH, 1, self._shared(name, of, HIGH)
         if batch * down.tiles * across.tiles < MANY:
-            high, (down, across, room) = LOW, self._shared(name, of, LOW)
-        out = onto if onto is not None else device.empty((batch, down.rows, across.rows))
-        groups = batch * down.tiles * across.tiles
-        device.launch(GROUPS_STAGE, "both", (groups * WIDE * high,), given,
+            high, parts, (down, across, room) = LOW, sums if in_parts else 1, self._shared(name, of, LOW)
+        out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
+        groups = batch * parts * down.tiles * across.tiles
+        device.launch(GROUPS_STAGE, "both", (groups * WIDE * LINES,), given,
                       given if weights is None else _constant(device, weights.tobytes(), weights.shape),
-                      *down.arrays, *across.arrays, out, int(onto is not None), int(weights is not None), across.span,
-                      planes,
-                      *size, down.rows, across.rows, down.blocks, down.most, across.most, sums, down.tiles,
-                      across.tiles, group=(WIDE * high,), defines=_defines(high, room))
+                      *down.arrays, *across.arrays, out, int(onto is not None), int(weights is not None),
+                      max(across.span, WIDE), stride, parts, planes, *size, down.rows, across.rows, down.blocks,
+                      down.most, across.most, sums, down.tiles, across.tiles, group=(WIDE * LINES,),
+                      defines={"HIGH": high, "LOCAL_BYTES": room})
         return out
 
     def added(self, onto, light, cfa, margin):
         """The mosaic, or every channel, with the splines' values."""
-        device, (rows, cols), (_, high, wide) = self.device, onto.shape[-2:], light.shape
+        device, (rows, cols), (_, _, high, wide) = self.device, onto.shape[-2:], light.shape
         pattern = np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
-        out, pixels, group = device.empty(onto.shape), prod(onto.shape), WIDE * HIGH
-        device.launch(GROUPS_STAGE, "evaluate", (-(-pixels // group) * group,), onto, light,
+        out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
+        groups = prod(onto.shape) // (rows * cols) * prod(tiles)
+        device.launch(GROUPS_STAGE, "evaluate", (groups * WIDE * LINES,), onto, light,
                       *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin),
-                      _constant(device, pattern.tobytes(), pattern.shape, np.int32), out, pixels, rows, cols, high, wide,
-                      *pattern.shape, group=(group,), defines=_defines(HIGH, STEP))
+                      _constant(device, pattern.tobytes(), pattern.shape, np.int32), out, rows, cols, high, wide,
+                      *pattern.shape, *tiles, group=(WIDE * LINES,), defines={"HIGH": HIGH, "LOCAL_BYTES": STEP})
         return out
 
 
@@ -235,10 +241,6 @@ def _at_samples(device, axis, margin):
     bands = axis.synthesis(margin)
     assert bands.values.shape[2] == 4
     return device.array(bands.values[0]), device.array(bands.start[0], np.int32)
-
-
-def _defines(high, room):
-    return {"HIGH": high, "THREADS": WIDE * high, "LOCAL_BYTES": room}
 
 
 @functools.lru_cache(maxsize=128)

@@ -46,7 +46,7 @@ def test_a_device_gives_the_error_of_all_moments(device, response):
             signal = response.share @ np.einsum("cl,lm,cm->c", response.flat, own.values, response.flat)
             exact = response.error(table, transfers, own)
             left = watch.left * np.asarray(numbers, float).mean(0)[1:, -1].sum() / signal
-            seen, allowed = watch.error(numbers), bound(watch, content, signal, exact)
+            seen, allowed = watch.errors(numbers)[0], bound(watch, content, signal, exact)
             assert exact - allowed <= seen <= np.sqrt(exact**2 + left) + allowed
             assert allowed < 1e-6
 

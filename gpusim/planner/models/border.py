@@ -15,7 +15,15 @@ from gpusim.optics.lens import straight_tail, tail_of
 from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
-from gpusim.planner.farfield import FarField, far_field, has_far_field, seam_error, spline_error, tails_of
+from gpusim.planner.farfield import (
+    TILES_SPLINES,
+    FarField,
+    far_field,
+    has_far_field,
+    seam_error,
+    spline_error,
+    tails_of,
+)
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
@@ -25,6 +33,7 @@ from gpusim.planner.rings import ring_errors
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
+SMALL = 0.1  # of a tolerance
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
@@ -54,19 +63,24 @@ class Surroundings:
         """Error of what is not seen, or seen on the wrong side."""
         if self.tiling is not None and self.far is not None:
             rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
-            rms = spline_error(self.outside, self.question)
             return total([Bound(rings.rms, rings.p999_sigma * sqrt(self.level), rings.max_sigma * sqrt(self.level)),
-                          self._even(rms)])
+                          self.splines])
         if self.far is not None:
             rms = seam_error(self.outside, self.question, self.period)
             return self._even(rms)
         rms, most, largest = self.outside.error(self.period, min(self.reaches))
         return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
 
+    @property
+    def splines(self) -> Bound:
+        """Error of the splines that carry what is far from tiles."""
+        assert self.far is not None
+        return self._even(spline_error(self.far, self.outside, self.question))
+
     def _even(self, rms):
         """An error that is everywhere alike."""
-        sigma = np.sqrt(self.level) * rms / self.outside.sigmas
-        return Bound(rms, EVEN[0] * float(np.quantile(sigma, 0.999)), EVEN[1] * float(sigma.max()))
+        p999, most = self.outside.darkest
+        return Bound(rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most)
 
     @property
     def spare(self) -> int:
@@ -121,10 +135,14 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
 
     def in_tiles(overlap):
         found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
-        reach, period = found.overlap, (found.side, found.side)
-        field = far_field(question, tails, found.overlap, found.side)
-        return field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field, found,
-                                      question)
+        reach, period, made = found.overlap, (found.side, found.side), None
+        for spacings in TILES_SPLINES:  # the fewest that are no matter
+            field = far_field(question, tails, reach, found.side, spacings)
+            made = field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field,
+                                          found, question)
+            if made is None or made.splines.ratio(question.tolerance) <= SMALL:
+                break
+        return made
 
     if reach is not None:
         yield [around(reach)]
