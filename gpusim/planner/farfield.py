@@ -27,7 +27,7 @@ SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
 # Relative RMS in q of the splines beside tiles, by how many spacings are in a Gaussian of LEAST samples; less as the
 # square of a wider one. Measured on leaves and a ColorChecker, q .4 to 1.6: within 20 %
-TILES_SPLINES = {1.0: 6e-5, 1.2: 1.8e-5, 1.6: 4e-6}
+TILES_SPLINES = {1.0: 4.6e-5, 1.2: 1.75e-5, 1.6: 3.9e-6}
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
