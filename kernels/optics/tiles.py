@@ -26,7 +26,8 @@ LANES_STAGE, GROUPS_STAGE = "optics.tiles_lanes", "optics.tiles_groups"  # the k
 MOST = 8  # channels, or phases of a mosaic of one pixel, that are made at once
 TILES = 64  # that `_by_batches` transforms at a time
 GROUP = 256  # work-items to a tile on a GPU
-REGISTERS = 64  # of each at most, so that four tiles fit a multiprocessor
+REGISTERS = 80, 128  # of each at most, for sums of up to FEW floats and for more: fewer spill (measured on an H200)
+FEW = 32
 PAIRS = 4  # pairs of planes, at most, whose spectra a CPU keeps
 RADICES = (8, 4, 3, 2)  # of lanes_fft.clh
 
@@ -128,9 +129,10 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
     together = images if np.prod(period) > 1 else 1
     group = min(GROUP, device.group_limit)
     room = _room(side, period, len(outputs))
+    sums = 2 * len(outputs) * -(-(small[0] // 2 + 1) * small[1] // group)
     first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
     *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
-    defines = {"THREADS": group, "REGISTERS": REGISTERS, "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
+    defines = {"THREADS": group, "REGISTERS": REGISTERS[sums > FEW], "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
                "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
                "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "OWN_TABLES": int(tables.shape[0] > 1),
                "BORDER": BORDERS[border], "FIRST": first, "COLUMNS": " ".join(columns),
