@@ -181,7 +181,7 @@ class Plan:
 def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, guaranteed: bool = False,
          reach: int | None = None, period: tuple[int, int] | None = None,
          kept: Kept = made_anew, facts: Facts | None = None, exposure_time: float | None = None,
-         single: bool = True, tiled: bool = True, least: int = 0) -> Plan:
+         single: bool = True, on_gpu: bool = False, least: int = 0) -> Plan:
     """Decide how `scene` is seen by `camera`.
 
     tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
@@ -193,7 +193,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     facts: of the scene, where they were read before. exposure_time: that it will be exposed for, where it is not the
     camera's own [s].
     single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which the
-    electrons alone are rounded. tiled: whether tiles are faster there than transforms of the frame, as on a CPU.
+    electrons alone are rounded. on_gpu: whether a GPU computes it.
     least: planes that the blur has at least, where scenes of this kind were found to need them; 0: it may be left out.
     A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
     comes from a frame's width away or more. That is part of the predicted border error.
@@ -201,7 +201,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
     """
     question = Question.of(scene, camera, Facts.of(scene) if facts is None else facts, tolerance, guaranteed=guaranteed,
-                           reach=reach, period=period, kept=kept, tiled=tiled, least=least)
+                           reach=reach, period=period, kept=kept, on_gpu=on_gpu, least=least)
     question, picture = highlights.split(question)
     notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
     blurred = question

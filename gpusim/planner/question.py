@@ -29,7 +29,7 @@ class Question:
 
     facts: of what goes through the blur: of the scene, or of what is left of it without its highlights. tolerance,
     guaranteed, reach, period, kept: see `gpusim.planner.plan.plan`.
-    tiled: whether tiles are faster than transforms of the frame where it is computed.
+    on_gpu: whether a GPU computes it, to which its parts cost other than to a CPU.
     least: planes that a blur has at least, 0: it may be left out.
     weights: electrons per second in each channel for content 1 at each wavelength, shape (C, L).
     limit: relative RMS error for what is not decided yet, None without a tolerance.
@@ -44,7 +44,7 @@ class Question:
     period: tuple[int, int] | None
     kept: Kept
     weights: np.ndarray
-    tiled: bool = True
+    on_gpu: bool = False
     least: int = 0
     limit: float | None = None
 

@@ -17,8 +17,10 @@ from gpusim.planner.question import Question
 
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200
 CACHED = 2**21  # samples of a transform that doubles its cost: on two cores 3.4 ns a sample at 0.9 million, 11 at 3.5
-TILE_COST = 0.6  # [flop] of one of a tile's transforms, which stay in a core's cache
-FAR_COST = 3.5  # [flop] of a multiplication of the far field, measured beside transforms
+# [flop] of one of a tile's transforms, which stay in a core's cache or a GPU's local memory, and of a multiplication of
+# the far field; both measured beside transforms of frames on two cores, and on an H200
+TILE_COST, GPU_TILE_COST = 0.6, 1.4
+FAR_COST, GPU_FAR_COST = 3.5, 21.0
 WIDER = 2.0  # times the exact way's samples that transforms may have, for a world without end beyond
 HEADROOM = 1.1  # that a choice leaves: sigmas are those of an exposure that is not metered yet
 NEAR = 1.1  # ways whose errors are within this factor are as good, where none is good enough
@@ -64,21 +66,22 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
     """Arithmetic of a frame's planes and transforms, bytes that go with it counted as such [flop].
 
     count: planes that are transformed. It depends on no device's speed, so that plans are the same on all CPUs and on
-    all GPUs, for which there are no tiles (`Question.tiled`).
+    all GPUs.
     """
+    tile, multiplied = (GPU_TILE_COST, GPU_FAR_COST) if question.on_gpu else (TILE_COST, FAR_COST)
     content, channels = question.content, len(question.weights)
     samples, area = prod(content.shape), float(prod(around.period))
     if around.tiling is None:
         transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
     else:
-        transform = TILE_COST * 2.5 * around.tiling.samples(question.scene.samples) * log2(area)
+        transform = tile * 2.5 * around.tiling.samples(question.scene.samples) * log2(area)
         area = float(around.tiling.samples(question.scene.samples))
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
     products = 8 * count * back * area / 2  # of complex numbers, and their sums, at the frequencies of a half spectrum
     far = 0.0
     if around.far is not None:
-        far = FAR_COST * multiplications(
+        far = multiplied * multiplications(
             question.size, count, channels, tuple(around.far.sigmas), around.far.spacings)
     return (count + back) * transform + products + far + FLOP_PER_BYTE * read
 

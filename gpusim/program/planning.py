@@ -49,7 +49,7 @@ def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: 
         raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
     simulator.readout.output_shape(scene.shape)
     made = plan(scene, simulator.camera, tolerance=simulator.tolerance, facts=facts, exposure_time=exposure_time,
-                single=device.kind != "numpy", tiled=device.kind == "numpy" or device.on_host, **_asked(simulator),
+                single=device.kind != "numpy", on_gpu=device.is_gpu, **_asked(simulator),
                 least=least)
     if simulator.strict and made.verdict is not None and not made.verdict.met:
         raise NotMet(f"{scene.name}: tolerance {made.verdict}")

@@ -132,8 +132,8 @@ def _by_groups(device, planes, tables, mix, outputs, period, border, side, overl
     sums = 2 * len(outputs) * -(-(small[0] // 2 + 1) * small[1] // group)
     first, *columns = _in_place(side, side, -1, "COLUMNS", first="FROM_PLANES")
     *back, last = _in_place(small[0], together * small[1], 1, "BACK_COLUMNS", last="TO_PIXELS")
-    defines = {"THREADS": group, "REGISTERS": REGISTERS[sums > FEW], "LOCAL_BYTES": room, "SIDE": side, "OVERLAP": overlap,
-               "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
+    defines = {"THREADS": group, "REGISTERS": REGISTERS[sums > FEW], "LOCAL_BYTES": room, "SIDE": side,
+               "OVERLAP": overlap, "PERIOD_Y": period[0], "PERIOD_X": period[1], "OUTPUTS": len(outputs),
                "OF": ", ".join(map(str, outputs)), "CHANNELS": channels, "OWN_TABLES": int(tables.shape[0] > 1),
                "BORDER": BORDERS[border], "FIRST": first, "COLUMNS": " ".join(columns),
                "ROWS": " ".join(_in_place(side, side, -1, "ROWS")),

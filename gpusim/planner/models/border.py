@@ -158,7 +158,7 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
         fields = [far_field(question, tails, reach * ratio) for reach in reaches]
         found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
-        tiled = [one for one in map(in_tiles, OVERLAPS if question.tiled else ()) if one is not None]
+        tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
         yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
         yield from ([one] for one in found if one.reach > BORDER_REACH)
         return
