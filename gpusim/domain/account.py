@@ -1,7 +1,7 @@
 """What a plan errs, cause by cause, and whether that is within a tolerance."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from math import hypot
 
 from gpusim.domain.tolerance import Tolerance
@@ -39,10 +39,9 @@ class Bound:
 
 
 def total(bounds: Iterable[Bound]) -> Bound:
-    """The error of several causes together: independent in the mean square, at worst all at one pixel."""
+    """The error of several causes together, which are independent: their largest errors are seldom at one pixel."""
     bounds = list(bounds)
-    return Bound(hypot(*(one.rms for one in bounds)), hypot(*(one.p999_sigma for one in bounds)),
-                 sum(one.max_sigma for one in bounds))
+    return Bound(*(hypot(*figures) for figures in zip(*map(astuple, bounds), strict=True))) if bounds else Bound()
 
 
 @dataclass(frozen=True)
