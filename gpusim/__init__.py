@@ -18,7 +18,7 @@ _PUBLIC = {
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
     "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
     "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",
-    "View": "gpusim.domain.view",
+    "View": "gpusim.domain.view", "Batch": "gpusim.batches",
     "Motion": "gpusim.domain.motion",
     "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
     "average": "gpusim.captures.burst", "read_nondestructively": "gpusim.captures.reads",

@@ -71,9 +71,9 @@ class Simulator:
         """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
         return copy(self)._connect(camera, Kept(), tables)
 
-    def batch(self, count: int, output: str = "codes") -> Batch:
+    def batch(self, count: int, output: str = "codes", planned_for: Scene | None = None) -> Batch:
         """Frames of several scenes, or of several settings, in one array: see `gpusim.program.batch.Batch`."""
-        return Batch(self, count, output)
+        return Batch(self, count, output, planned_for)
 
     def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
                 meters_late: bool = False) -> Program:

@@ -44,7 +44,18 @@ class Pairs:
         values = self._variety.drawn(self._seed, number)
         return number, self._opened(self._photographs[number // self._each], values), values
 
+    def pair(self, number: int) -> dict:
+        """Raw values, the light that they are of, codes if there are pictures, and what is told of them."""
+        return self._pair(*self._read(number))
+
     def _files(self, number, scene, values):
+        pair = self._pair(number, scene, values)
+        files = {"raw.npy": npy(pair["raw"]), "clean.npy": npy(pair["clean"])}
+        if "rgb" in pair:
+            files["rgb.png"] = png_bytes(pair["rgb"], self._simulator.camera.display)
+        return files | {"json": (json.dumps(pair["told"], sort_keys=True) + "\n").encode()}
+
+    def _pair(self, number, scene, values):
         simulator = self._simulator
         gain = gain_of(simulator.camera, values.get("iso"))
         program = simulator.program(scene, values.get("exposure"), gain)
@@ -52,10 +63,9 @@ class Pairs:
         raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, frame=number)))
         sensor = exposure.camera.sensor
         light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
-        files = {"raw.npy": npy(exposure.layered(raw)), "clean.npy": npy(light + np.float32(sensor.dark_level))}
+        pair = {"raw": exposure.layered(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
-            codes = simulator.device.numpy(program.codes(seed=self._seed, frame=number))
-            files["rgb.png"] = png_bytes(np.array(codes), simulator.camera.display)
+            pair["rgb"] = np.array(simulator.device.numpy(program.codes(seed=self._seed, frame=number)))
         told = {"photograph": self._photographs[number // self._each].name, "camera": simulator.camera.name,
                 "seed": self._seed, "frame": number, **values, "exposure_time_s": exposure.exposure_time,
                 "gain": exposure.gain, "black_level": float(sensor.dark_level),
@@ -64,7 +74,7 @@ class Pairs:
                 "predicted_rms": account.total.rms}
         if simulator.tolerance is not None:
             told["tolerance_met"] = account.verdict(simulator.tolerance).met
-        return files | {"json": (json.dumps(told, sort_keys=True) + "\n").encode()}
+        return pair | {"told": told}
 
 
 def gain_of(camera: Camera, speed: float | None) -> float:

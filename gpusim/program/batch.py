@@ -22,14 +22,17 @@ class Batch:
     output: a name of `gpusim.program.outputs.OUTPUTS`. Every item is the frame that a `Program` gives: what was
     computed for one call serves the next; what items have in common, such as a scene and its blur, is computed once.
     Scenes that the plan was not made for are looked at on the device, and judged before the next call.
+    planned_for: a scene whose plan frames all of its kind that it fits, however they come together in calls; others
+    are planned by themselves. Without it plans are those of scenes that came before.
     """
 
-    def __init__(self, simulator, count: int, output: str = "codes"):
+    def __init__(self, simulator, count: int, output: str = "codes", planned_for: Scene | None = None):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
         self._simulator, self._kept = simulator, Kept(simulator.device)
         self._items: list[Program | None] = [None] * self.count
+        self._planned_for = planned_for
 
     def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0, frame=0):
         """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.
@@ -56,6 +59,13 @@ class Batch:
                 self._require_memory(program.plan)
             programs.append(program)
             frames.append(program.output(self.output, seed=its_seed, frame=number))
+        if self._planned_for is not None:
+            for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
+                programs[item].judge()
+                if programs[item].before.plan is None:  # a program of its own; the next call has another one
+                    self._items[item] = None
+                    programs[item] = Program(self._simulator.apart(by, Kept()), own, its_time, its_gain)
+                    frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
@@ -96,9 +106,11 @@ class Batch:
         in_use = [other for other in self._items if other is not None and other is not program]
         alike = next(filter(is_alike, in_use), None)
         tables = alike.simulator.tables if alike else Kept() if in_use else self._simulator.tables
-        simulator = self._simulator.apart(camera, tables)
-        program = self._items[item] = Program(simulator, scene, before=alike.before if alike else
+        simulator, shared = self._simulator.apart(camera, tables), alike is not None and self._planned_for is None
+        program = self._items[item] = Program(simulator, self._planned_for or scene, before=alike.before if shared else
                                               Before(simulator.device))
+        if self._planned_for is not None:
+            program.plan  # noqa: B018  it is made, for all scenes to come
         return program
 
     def _require_memory(self, plan):

@@ -1,0 +1,110 @@
+"""Batches of pictures, as tensors, to frames of a camera: what loops of machine learning call.
+
+Not differentiable: no gradient goes through a frame, whose noise is drawn and whose values are rounded.
+"""
+
+import sys
+from collections import OrderedDict
+from collections.abc import Iterable
+
+import numpy as np
+
+from gpusim.data.lights import illuminant, white_radiance
+from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.content import Basis, Content, Cube
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.foreign import described, type_of
+from gpusim.domain.scene import Scene, unit_light
+from gpusim.io.scenes import LIGHT, LUMINANCE
+from gpusim.simulator import Simulator
+
+SHAPES = 4  # of batches whose programs are kept
+GREY = 0.18  # reflectance of the scene that plans are made for
+LIBRARIES = ("torch", "cupy")  # whose arrays are given back where they were given
+
+
+class Batch:
+    """Frames of batches of pictures by a camera on a device. Not differentiable.
+
+    output: a name of `gpusim.program.outputs.OUTPUTS`, such as "raw", "linear" or "codes". wavelengths: of the
+    pictures' channels [nm], shape (L,); None: linear sRGB (3 channels) or grey (1). light: name for `illuminant` in
+    which the pictures are reflectances, white 1; None: of spectral ones, whose values are radiance
+    [W sr-1 m-2 nm-1]. luminance: of white in it [cd m-2]. tolerance: as for `Simulator`: a plan for each picture, which
+    takes time; without one there is one for each shape. options: of every Scene, such as border.
+    A frame depends on its picture, its settings, its number and the seed, and on nothing else of its batch: any number
+    of workers makes the same data. Raises as `Simulator` does, BadData, OutOfRange for the light.
+    """
+
+    def __init__(self, camera, *, device="auto", output: str = "raw", wavelengths=None, light: str | None = LIGHT,
+                 luminance: float = LUMINANCE, tolerance=None, **options):
+        self.simulator = Simulator(camera, device=device, tolerance=tolerance)
+        self.simulator.batch(1, output)  # which knows the outputs
+        self.output, self._options = output, options
+        self.wavelengths = None if wavelengths is None else np.asarray(wavelengths, np.float64)
+        if light is not None:
+            self._light = white_radiance(illuminant(light), luminance)
+        elif self.wavelengths is None:
+            raise OutOfRange("light", None, "a name, for linear sRGB, which is of reflectances")
+        else:
+            self._light = unit_light(self.wavelengths)
+        self._batches: OrderedDict = OrderedDict()
+
+    def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None):
+        """Frames of pictures (B, C, rows, cols), floats, not negative: shape (B, ...), a new array.
+
+        It is torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's. first: number of
+        the first picture among all, by which, with the seed, its noise is drawn.
+        exposure_time [s], gain: as for `Simulator.expose`. camera: whose noise, white point, lens and other settings
+        are other ones. Each of the three may be one for every picture, too. Automatic exposure meters each picture.
+        Raises as `Simulator.frames` does, and BadData for pictures of other shapes and types.
+        """
+        values = described(pictures, "pictures")
+        shape, channels = tuple(values.shape), (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
+        if len(shape) != 4 or 0 in shape or shape[1] not in channels:
+            raise BadData(f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
+                          f"{' or '.join(map(str, channels))} channels")
+        if type_of(values) not in (np.float16, np.float32, np.float64):
+            raise BadData(f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes")
+        scenes = [self._scene(values[item]) for item in range(shape[0])]
+        settings = {"camera": camera, "exposure_time": exposure_time, "gain": gain}
+        if self.simulator.tolerance is None:
+            frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
+            return _as(pictures, self.simulator.device, frames)
+        frames = [self.simulator.batch(1, self.output)(scene, seed=seed, frame=first + item, **{
+            name: value[item] if isinstance(value, Iterable) else value for name, value in settings.items()})
+            for item, scene in enumerate(scenes)]
+        return _as(pictures, self.simulator.device, np.concatenate([
+            np.array(self.simulator.device.numpy(one)) for one in frames]))
+
+    def _scene(self, values) -> Scene:
+        content: Content
+        if self.wavelengths is not None:
+            content = Cube(self.wavelengths, values)
+        else:
+            basis = srgb_primaries()
+            content = Basis(basis.wavelengths, values, basis.values if values.shape[0] == 3 else np.ones(
+                (1, len(basis.wavelengths))))
+        return Scene(content, self._light, name="picture", **self._options)
+
+    def _batch(self, shape):
+        """Programs for batches of this shape; those of the last SHAPES are kept."""
+        if shape not in self._batches:
+            grey = self._scene(np.full(shape[1:], GREY, np.float32))
+            self._batches[shape] = self.simulator.batch(shape[0], self.output, planned_for=grey)
+            if len(self._batches) > SHAPES:
+                self._batches.popitem(last=False)
+        self._batches.move_to_end(shape)
+        return self._batches[shape]
+
+
+def _as(pictures, device, frames):
+    """A copy of frames as an array of the pictures' library, on the device where it can be there."""
+    library = sys.modules.get(type(pictures).__module__.partition(".")[0])
+    if library is None or library.__name__ not in LIBRARIES:
+        return np.array(device.numpy(frames))
+    is_torch = library.__name__ == "torch"
+    if not isinstance(frames, np.ndarray) and device.kind == "warp":
+        shared = library.from_dlpack(frames)
+        return shared.clone() if is_torch else shared.copy()
+    copied = np.array(device.numpy(frames))
+    return library.from_numpy(copied).to(pictures.device) if is_torch else library.asarray(copied)
