@@ -10,6 +10,7 @@ import numpy as np
 from gpusim.domain.account import SAFETY
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
+from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import checked_scene
 from gpusim.frame import Exposure
@@ -27,13 +28,13 @@ STEP = 0.25  # [sample] between two instants, without a tolerance
 
 
 def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0) -> Exposure:
+                  gain: float = 1.0, flicker: Flicker | None = None) -> Exposure:
     """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
 
     scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
     start: when the first row opens [s]; row y opens y row_time of the sensor later. Automatic exposure meters the
-    first scene; gain: as for `Simulator.expose`. Raises as `Simulator.expose` does, and BadData, OutOfRange for times
-    that do not cover the exposure.
+    first scene in steady light; gain: as for `Simulator.expose`. flicker: of all its light, on the clock of the times.
+    Raises as `Simulator.expose` does, and BadData, OutOfRange for times that do not cover the exposure.
     """
     checked_time(exposure_time)
     checked_gain(gain)
@@ -59,23 +60,25 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is None:
             exposure_time, gain = metered(simulator, rates[0])
-        weights = shutter_weights(times, shape[-2], exposure_time, sensor.row_time, start)
+        weights = shutter_weights(times, shape[-2], exposure_time, sensor.row_time, start, flicker)
         layers = prod(shape[:-2])  # of stacked pixels, one below the other
         stacked = device.reshape(device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
         mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
-        model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart"
+        model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
+            f", light that flickers at {flicker.frequency:g} Hz" if flicker else "")
         plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
         exposure = exposed(simulator, plan, device.reshape(mean, shape), exposure_time, gain, Kept())
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
 
 def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0, instants: int | None = None) -> Exposure:
+                  gain: float = 1.0, instants: int | None = None, flicker: Flicker | None = None) -> Exposure:
     """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
 
     start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
     instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
     the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
+    flicker: see `expose_moving`.
     Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than COUNTS has.
     """
     scene, sensor = checked_scene(scene), simulator.camera.sensor
@@ -90,7 +93,7 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     probes = probes_for(simulator, scene, motion.at(start), seconds)
     for count in [instants] if instants else COUNTS:
         times = start + whole * np.linspace(0, 1, count)
-        step = _farthest(scene, motion, times)
+        step = farthest(scene, motion, times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
         tolerance = simulator.tolerance
         if instants or not step or (step <= STEP if tolerance is None else
@@ -102,7 +105,7 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     if not step:
         times = times[:1]
     scenes = [scene.viewed(motion.at(time)) for time in times]
-    made = expose_moving(simulator, scenes, times, seconds, start, gain)
+    made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker)
     between = next((one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)), scenes[0].view)
     told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
     plan, bounds = made.plan, made.plan.account.bounds | told
@@ -111,7 +114,7 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     return dataclasses.replace(made, plan=dataclasses.replace(plan, account=account, verdict=verdict))
 
 
-def _farthest(scene, motion, times):
+def farthest(scene, motion, times):
     """How far the camera moves between two of these times, at most, anywhere in the frame [sample]."""
     y, x = (np.array((-0.5, 0.5))[:, None] * scene.samples[0], np.array((-0.5, 0.5)) * scene.samples[1])
     places = np.array([np.broadcast_arrays(*motion.at(time).place(y, x, scene.samples_per_pixel)) for time in times])

@@ -14,7 +14,7 @@ MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 # Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "fps")
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "fps")
 
 
 def add_command(commands):
@@ -40,6 +40,10 @@ def add_command(commands):
                         "displacement, from --seed")
     parser.add_argument("--blur", action="store_true", help="of the camera's movement while it exposes, and its "
                         "rolling shutter: many times the work, as many instants a frame as the tolerance takes")
+    parser.add_argument("--flicker", type=_flicker, metavar="HZ[,DEPTH]", help="all light is that of lamps on the "
+                        "mains: 100 or 120, and (most - least) / (most + least) (default: 1); rows see its phase")
+    parser.add_argument("--pwm", type=_switched, metavar="HZ,DUTY", help="all light is switched so many times a "
+                        "second, and on for a part of the time")
     parser.add_argument("--codec", metavar="NAME", help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, "
                         ".mkv), ffv1-linear (linear RGB, 16 bit, .mkv) (default: h264)")
     parser.add_argument("--quality", type=_quality, metavar="CRF", help="constant rate factor of h264 and h265, "
@@ -72,6 +76,28 @@ def _number(text):
         raise argparse.ArgumentTypeError(f"{text!r}: wanted a number") from None
 
 
+def _flicker(text):
+    """Of HZ or HZ,DEPTH."""
+    frequency, _, depth = text.partition(",")
+    return _of_light(text, frequency=frequency, depth=depth or 1)
+
+
+def _switched(text):
+    """Of HZ,DUTY."""
+    frequency, _, duty = text.partition(",")
+    return _of_light(text, frequency=frequency, duty=duty)
+
+
+def _of_light(text, **numbers):
+    from gpusim.domain.flicker import Flicker
+
+    try:
+        return Flicker(**{name: float(number) for name, number in numbers.items()})
+    except (ValueError, OutOfRange) as error:
+        why = str(error) if isinstance(error, OutOfRange) else "wanted one or two numbers, such as 100,0.5"
+        raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
+
+
 def _pair(text):
     try:
         down, right = (float(part) for part in text.split(","))
@@ -102,8 +128,10 @@ def video(arguments) -> int:
     path = Path(arguments.out)
     scenes, motion = _scenes(arguments), Motion(arguments.pan, radians(arguments.roll), arguments.zoom,
                                                 arguments.zooming, arguments.shake, arguments.seed)
-    if motion != Motion(seed=arguments.seed):
-        scenes = Moving(scenes, motion, arguments.fps)
+    if arguments.flicker and arguments.pwm:
+        raise OutOfRange("--pwm", "given", "without --flicker: all light is one or the other")
+    if motion != Motion(seed=arguments.seed) or arguments.flicker or arguments.pwm:
+        scenes = Moving(scenes, motion, arguments.fps, arguments.flicker or arguments.pwm)
     elif arguments.blur:
         raise OutOfRange("--blur", "given", "with --pan, --roll, --zooming or --shake: the camera rests")
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
@@ -186,7 +214,7 @@ def _target(path, arguments, simulator, scenes, segments):
     from gpusim.video.manifest import digest, file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
-    frames_of = blurred_frames if arguments.blur else frames
+    frames_of = blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames
     camera, suffix = simulator.camera, path.suffix.lower()
     made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names,
             "contents of files": [file_digest(name) for name in (scenes.names if len(arguments.scene) > 1 or Path(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
+from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene
 from gpusim.io.scenes import SUFFIXES
@@ -67,12 +68,15 @@ class First:
 
 
 class Moving:
-    """Other scenes, `still`, before a camera that moves. rate: frames per second. Raises OutOfRange, BadData."""
+    """Other scenes, `still`, before a camera that moves. rate: frames per second. Raises OutOfRange, BadData.
+
+    flicker: of their light.
+    """
 
     is_still = False
 
-    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction):
-        self.still, self.motion, self.period = scenes, motion, float(1 / rate)
+    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction, flicker: Flicker | None = None):
+        self.still, self.motion, self.period, self.flicker = scenes, motion, float(1 / rate), flicker
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # said before the work

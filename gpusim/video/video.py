@@ -79,11 +79,12 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
 
 def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
                    output: str | None = None) -> Iterator[Made]:
-    """The same of a camera that moves while it exposes; each frame meters its own first view."""
+    """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
     for _, *wanted in segments:
         for number in wanted:
             scene = next(scenes.still.between(number, number + 1))
-            exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period)
+            exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
+                                     flicker=scenes.flicker)
             account = exposure.plan.account.at(exposure.exposure_time)
             if output is None:
                 yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), account)

@@ -1,0 +1,86 @@
+"""Noise of a tutorial against noise of a camera, on the same linear frames: variance of 8-bit codes against their mean.
+
+    python bench/replacement.py --device opencl --out bench/replacement.png
+
+NVIDIA's Replicator tutorial for augmentations adds normal noise of one standard deviation to 8-bit RGB. Here that is
+done to frames as renderers give them (linear RGB and an alpha, float16), and the same frames go through a camera.
+"""
+
+import argparse
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+from results import start
+
+import gpusim as gs
+from gpusim.domain.display import DISPLAYS
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
+SIGMA = 5.0  # of the tutorial's kernel [code]
+ROWS, COLS = 64, 256
+LEAST = 2e-3  # of a ramp of light up to 1
+SECONDS = 0.06  # in which white fills the codes
+
+
+def rendered() -> np.ndarray:
+    """A grey ramp of light with an alpha, as a renderer's linear frame: float16 (rows, cols, 4)."""
+    frame = np.ones((ROWS, COLS, 4), np.float16)
+    frame[..., :3] = np.geomspace(LEAST, 1, COLS)[None, :, None]
+    return frame
+
+
+def tutorial(frame, count, random) -> np.ndarray:
+    """8-bit codes with normal noise of one sigma, (count, rows, cols)."""
+    codes = np.round(255 * DISPLAYS["srgb"].encode(np.clip(frame[..., 1].astype(float), 0, 1)))
+    return np.clip(np.round(codes + SIGMA * random.standard_normal((count, *codes.shape))), 0, 255)
+
+
+def moments(codes) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance over frames (count, rows, cols) in each column."""
+    return codes.mean(axis=(0, 1)), codes.astype(float).var(axis=0, ddof=1).mean(axis=0)
+
+
+def expected(raw_mean, sensor) -> np.ndarray:
+    """Variance of raw values by theory: photons' and that of reading, both through the gain, and of rounding [DN^2]."""
+    gain = sensor.gain_dn_per_electron
+    return gain * (raw_mean - sensor.dark_level) + (gain * sensor.read_sigma) ** 2 + 1 / 12
+
+
+def main():
+    """Plot, and print how far the camera's raw variance is from theory."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--device", default="auto")
+    made.add_argument("--count", type=int, default=200, help="frames (default: 200)")
+    made.add_argument("--out", default="replacement.png")
+    arguments = made.parse_args()
+    base, frame = gs.open_camera("machine-vision"), rendered()
+    noise = replace(base.sensor.noise, prnu=0.0, dsnu=0.0)  # which differ from pixel to pixel, not in time
+    base = replace(base, sensor=replace(base.sensor, noise=noise),
+                   optics=replace(base.optics, relative_illumination="none"))
+    pictures = np.repeat(frame[None, ..., :3].transpose(0, 3, 1, 2), arguments.count, axis=0)
+    codes, raw = (gs.Batch(base, device=arguments.device, output=output)(pictures, exposure_time=SECONDS, seed=1)
+                  for output in ("codes", "raw"))
+    sensor = gs.Simulator(base, device="numpy").camera.sensor
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    constant = tutorial(frame, arguments.count, np.random.default_rng(1))
+    left.plot(*moments(constant), ".", ms=3, label="tutorial: constant sigma")
+    left.plot(*moments(codes[..., 1]), ".", ms=3, label="gpusim, machine-vision")
+    left.set(xlabel="mean [8-bit code]", ylabel="variance [code^2]", yscale="log")
+    mean, variance = moments(raw[:, :, 1:-1])
+    right.plot(mean, variance, ".", ms=3, label="gpusim raw")
+    right.plot(np.sort(mean), expected(np.sort(mean), sensor), lw=1, label="photons + reading + rounding")
+    right.set(xlabel="mean [DN]", ylabel="variance [DN^2]", xscale="log", yscale="log")
+    for axes in (left, right):
+        axes.legend(frameon=False)
+        axes.grid(alpha=0.3)
+    figure.savefig(arguments.out, dpi=100)
+    below = mean < 0.9 * sensor.white_level
+    print(f"raw variance over theory: {np.median(variance[below] / expected(mean[below], sensor)):.3f} (median), "
+          f"{arguments.count} frames; written {arguments.out}")
+
+
+if __name__ == "__main__":
+    start(main)

@@ -1,0 +1,162 @@
+"""Event cameras: pixels that tell when the logarithm of their light has changed by a threshold."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import ceil, inf
+
+import numpy as np
+
+from gpusim.captures.moving import STEP, farthest
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.motion import Motion
+from gpusim.domain.scene import Scene, checked_scene
+from gpusim.io.atomic import atomic_path
+from gpusim.simulator import Simulator
+
+EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
+MOST = 100_000  # instants
+LEAST_THRESHOLD = 0.01  # of a pixel, whatever its mismatch
+
+
+@dataclass(frozen=True)
+class EventSensor:
+    """Read-out of a pixel's light as events.
+
+    on, off: change of the natural logarithm of the light that makes an event. mismatch: standard deviation of both
+    from pixel to pixel, over themselves. refractory: time after an event in which a pixel sees nothing; what it
+    compares with is its light at the end of it [s]. leak: events on a second that a pixel makes in steady light [Hz].
+    dark: electrons that flow in darkness [e- s-1]. window: time over which a pixel averages the electrons that it sees
+    at an instant, whose number scatters by Poisson; 0: it does not [s]. seed: of mismatch and scatter.
+    Source: Lichtsteiner, Posch and Delbruck, IEEE J. Solid-State Circuits 43 (2008), 566. Raises OutOfRange.
+    """
+
+    on: float = 0.2
+    off: float = 0.2
+    mismatch: float = 0.02
+    refractory: float = 0.0
+    leak: float = 0.1
+    dark: float = 10.0
+    window: float = 0.001
+    seed: int = 0
+
+    def __post_init__(self):
+        for name, low in (("on", LEAST_THRESHOLD), ("off", LEAST_THRESHOLD), ("mismatch", 0), ("refractory", 0),
+                          ("leak", 0), ("dark", 0), ("window", 0)):
+            value = getattr(self, name)
+            if not low <= value < inf:
+                raise OutOfRange(f"events.{name}", value, f"{low:g} or more")
+        if not self.dark > 0:
+            raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
+
+    def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
+        """Events of light at rising instants [s]; rates: of electrons there, each (rows, cols) [e- s-1].
+
+        Between two instants the logarithm of the light changes linearly. Returns an array of EVENT, by time: t [s],
+        column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
+        """
+        times, found, state = np.asarray(times, np.float64), [], None
+        if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+            raise BadData(f"times of events: shape {times.shape}; wanted two or more finite instants in seconds, "
+                          "rising")
+        random = np.random.Generator(np.random.Philox(self.seed))
+        for number, (time, rate) in enumerate(zip(times, rates, strict=True)):
+            light = np.asarray(rate, np.float64)
+            if light.ndim != 2 or not np.isfinite(light).all() or (light < 0).any():
+                raise BadData(f"rates of events at {time:g} s: shape {light.shape}; wanted finite light (rows, cols)")
+            if state is None:
+                state = _Pixels(self, light.shape, random)
+            elif light.shape != state.shape:
+                raise BadData(f"rates of events at {time:g} s: {light.shape}, wanted {state.shape} as before")
+            if self.window:
+                light = random.poisson(light * self.window) / self.window
+            found += state.seen(time, np.log(light + self.dark)) if number else state.begun(time, np.log(
+                light + self.dark))
+        together = np.concatenate([np.empty(0, EVENT), *found])
+        return together[np.argsort(together["t"], kind="stable")]
+
+
+class _Pixels:
+    """What pixels compare their light with, and since when they look."""
+
+    def __init__(self, sensor, shape, random):
+        self._sensor, self.shape = sensor, shape
+        scatter = 1 + sensor.mismatch * random.standard_normal((2, *shape))
+        self._on, self._off = np.maximum([[[sensor.on]], [[sensor.off]]] * scatter, LEAST_THRESHOLD).reshape(2, -1)
+        self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
+        self._free = np.full(self._on.shape, -inf)  # end of the refractory time, -inf where the level is known
+
+    def begun(self, time, light):
+        """The first instant: what the light is compared with."""
+        self._time, self._last = time, light.ravel()
+        self._level = self._last.copy()
+        return []
+
+    def seen(self, time, light):
+        """Events since the instant before, some of all pixels' at a time."""
+        begun, before, now = self._time, self._last, light.ravel()
+        drift = self._sensor.leak * self._on  # per second, by which the level falls
+        slope = (now - before) / (time - begun)
+        here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)
+        late = here[self._free[here] > -inf]  # they look again from the end of their refractory time on
+        since[late] = np.maximum(self._free[late], begun)
+        self._level[late] = before[late] + slope[late] * (since[late] - begun)
+        self._free[late] = -inf
+        found = []
+        while len(here):
+            rise = slope[here] + drift[here]  # of the light over the level
+            above = before[here] + slope[here] * (since[here] - begun) - self._level[here]
+            limit = np.where(rise > 0, self._on[here], -self._off[here])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                wait = np.where(rise == 0, inf, np.maximum((limit - above) / rise, 0))
+            crosses = since[here] + wait <= time
+            here, wait, limit = here[crosses], wait[crosses], limit[crosses]
+            at = since[here] + wait
+            events = np.empty(len(here), EVENT)
+            events["t"], events["p"] = at, np.sign(limit)
+            events["y"], events["x"] = np.divmod(here, self.shape[1])
+            found.append(events)
+            # the level falls meanwhile, and is reset by the threshold, or to the light at the end of the time
+            self._level[here] += limit - drift[here] * wait
+            since[here] = at
+            if self._sensor.refractory:
+                self._free[here] = since[here] = at + self._sensor.refractory
+                here = here[since[here] < time]
+                self._level[here] = before[here] + slope[here] * (since[here] - begun)
+                self._free[here] = -inf
+        known = self._free == -inf
+        self._level[known] -= (drift * (time - since))[known]
+        self._time, self._last = time, now
+        return found
+
+
+def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: float, sensor: EventSensor | None = None,
+              start: float = 0.0, instants: int | None = None) -> np.ndarray:
+    """Events of a camera that moves before a scene, see `EventSensor.events`.
+
+    Each pixel sees the light that the simulator's camera gathers there, its own colour of a mosaic. duration, start:
+    [s]. instants: at which the scene is seen; None: so many that the camera moves STEP samples between two.
+    Raises as `Simulator.expose` does, and OutOfRange.
+    """
+    scene, sensor = checked_scene(scene), EventSensor() if sensor is None else sensor
+    if not 0 < duration < inf:
+        raise OutOfRange("duration of events", duration, "above 0 s")
+    if instants is None:
+        coarse = start + duration * np.linspace(0, 1, 65)
+        instants = 2 + ceil(64 * farthest(scene, motion, coarse) / STEP)
+    if not 2 <= instants <= MOST:
+        raise OutOfRange("instants of events", instants, f"2 .. {MOST}; a shorter time or a slower camera needs fewer")
+    times = start + duration * np.linspace(0, 1, instants)
+    program = simulator.program(scene.viewed(motion.at(start)), 1.0)
+
+    def rates():
+        for time in times:
+            program.update(scene=scene.viewed(motion.at(time)))
+            yield np.array(simulator.device.numpy(program.output("mean", seed=0, frame=0)))
+
+    return sensor.events(times, rates())
+
+
+def write_events(path, events: np.ndarray, shape: tuple[int, int]):
+    """Write events as .npz: t [s], x, y, p, and rows and columns of the sensor as `shape`. Raises BadFile."""
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, shape=np.array(shape), **{name: events[name] for name in EVENT.names})

@@ -1,0 +1,165 @@
+"""Events against closed forms of ramps and waves, and the rate of noise against a chain of Markov's."""
+
+import numpy as np
+import pytest
+from cameras import PHONE, camera_with
+from devices import KINDS
+from scipy.stats import norm
+
+import gpusim as gs
+from gpusim.captures.events import EVENT
+from gpusim.domain.errors import BadData, OutOfRange
+
+QUIET = {"mismatch": 0.0, "leak": 0.0, "window": 0.0, "dark": 1e-12}
+
+
+def of_function(sensor, logarithm, times, shape=(1, 1)):
+    return sensor.events(times, (np.full(shape, np.exp(logarithm(time))) for time in times))
+
+
+@pytest.mark.parametrize("slope", [2.1, -3.3])
+@pytest.mark.parametrize("refractory", [0.0, 0.004, 0.05])
+def test_a_ramp(slope, refractory):
+    """Light that grows exponentially crosses a threshold every threshold / slope, and the refractory time later."""
+    sensor = gs.EventSensor(on=0.2, off=0.13, refractory=refractory, **QUIET)
+    found = of_function(sensor, lambda time: 3 + slope * time, np.linspace(0, 1, 41), (2, 3))
+    threshold = 0.2 if slope > 0 else 0.13
+    period = threshold / abs(slope) + refractory
+    expected = np.arange(1, 100) * period - refractory
+    expected = expected[expected < 1]
+    assert len(found) == 6 * len(expected) and (np.sign(slope) == found["p"]).all()
+    for y in range(2):
+        for x in range(3):
+            own = found[(found["y"] == y) & (found["x"] == x)]
+            np.testing.assert_allclose(own["t"], expected, atol=1e-9)
+
+
+def crossings(amplitude, threshold, cycles):
+    """Times in periods, and signs, at which a sine wave is a threshold away from where it was so the last time."""
+    level, times, signs = 0.0, [], []
+    turns = [0.25 + 0.5 * half for half in range(2 * cycles)]
+    for half, end in enumerate(turns):
+        sign = 1 if half % 2 == 0 else -1
+        while sign * (level + sign * threshold) < amplitude:
+            level += sign * threshold
+            inside = np.arcsin(level / amplitude) / (2 * np.pi)
+            times.append(inside + half / 2 if sign > 0 else 0.5 - inside + (half - 1) / 2)
+            signs.append(sign)
+        assert not times or times[-1] <= end
+    return np.array(times), np.array(signs)
+
+
+def test_a_wave():
+    """Between instants the light is linear: (pi f h)^2 amplitude / 2 of it is wrong, over the slope at a crossing."""
+    amplitude, threshold, frequency, instants = 0.93, 0.2, 7.0, 20_001
+    expected, signs = crossings(amplitude, threshold, 5)
+    times = np.linspace(0, (2 * 5 - 0.5) / 2 / frequency, instants)
+    found = of_function(gs.EventSensor(on=threshold, off=threshold, **QUIET), lambda time: 2 + amplitude * np.sin(
+        2 * np.pi * frequency * time), times)
+    np.testing.assert_array_equal(found["p"], signs)
+    step = times[1]
+    least = np.abs(np.cos(2 * np.pi * expected)).min() * amplitude * 2 * np.pi * frequency
+    np.testing.assert_allclose(found["t"], expected / frequency,
+                               atol=(np.pi * frequency * step) ** 2 * amplitude / 2 / least + 1e-12)
+
+
+def test_leak_makes_events_of_steady_light():
+    sensor = gs.EventSensor(mismatch=0.0, window=0.0, leak=8.0)
+    found = of_function(sensor, lambda time: 4.0, [0.0, 0.3, 1.01])
+    np.testing.assert_allclose(found["t"], np.arange(1, 9) / 8, atol=1e-12)
+    assert (found["p"] == 1).all()
+
+
+def test_mismatch_scatters_thresholds():
+    sensor = gs.EventSensor(on=0.3, **QUIET | {"mismatch": 0.05})
+    found = of_function(sensor, lambda time: time, [0.0, 0.45], (100, 100))  # one event each: 0.3 (1 +- 0.05)
+    assert len(found) == 10_000
+    assert found["t"].mean() == pytest.approx(0.3, abs=5 * 0.015 / 100)
+    assert found["t"].std() == pytest.approx(0.015, rel=5 / np.sqrt(2 * 10_000))
+
+
+def noise_rate(sigma, threshold):
+    """Events an instant of light that scatters normally, in the mean over where a pixel's level began: at such light."""
+    begun = norm.ppf((np.arange(200) + 0.5) / 200) * sigma / threshold
+    return np.mean([chain_rate(sigma, threshold, offset) for offset in begun])
+
+
+def chain_rate(sigma, threshold, offset, count=12):
+    """The same of levels that are whole thresholds and an offset from the light: these are a Markov chain."""
+    levels = np.arange(-count, count + 1) + offset
+    number = np.arange(-2 * count, 2 * count + 1)
+    ends = levels[:, None] + number
+    low, high = ends - (number <= 0), ends + (number >= 0)
+    chance = norm.cdf(high * threshold / sigma) - norm.cdf(low * threshold / sigma)
+    moves = np.zeros((len(levels), len(levels)))
+    for at, own in enumerate(chance):
+        np.add.at(moves[at], np.clip(at + number, 0, len(levels) - 1), own)
+    values, vectors = np.linalg.eig(moves.T)
+    stationary = np.real(vectors[:, np.argmax(np.real(values))])
+    return float(stationary / stationary.sum() @ (chance @ np.abs(number)))
+
+
+@pytest.mark.parametrize("electrons, threshold", [(400.0, 0.1), (2500.0, 0.05), (10_000.0, 0.05)])
+def test_the_rate_of_noise_is_that_of_theory(electrons, threshold):
+    """Poisson's scatter of the logarithm is 1 / sqrt(N), normal for many electrons but for terms of 1 / N."""
+    sensor = gs.EventSensor(on=threshold, off=threshold, **QUIET | {"window": 0.001})
+    shape, instants = (60, 60), 120
+    found = sensor.events(np.arange(instants) * 0.01, (np.full(shape, electrons / 0.001) for _ in range(instants)))
+    settled = found[found["t"] >= 0.2]  # the level begins at a scattered light
+    expected = noise_rate(1 / np.sqrt(electrons), threshold)
+    count = expected * 3600 * (instants - 21)
+    assert len(settled) == pytest.approx(count, rel=0.02 + 2 / electrons**0.5, abs=8 * np.sqrt(count))
+    assert abs((settled["p"] == 1).mean() - 0.5) < 0.05
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_an_edge_that_passes(device):
+    """Every pixel that a bright edge passes sees its logarithm rise once: as many events as thresholds fit in it."""
+    camera = camera_with(optics={"relative_illumination": "none"})
+    simulator, scene = gs.Simulator(camera, device=device), gs.chart("slanted-edge", size=(48, 32))
+    sensor = gs.EventSensor(on=0.3, off=0.3, mismatch=0.0, leak=0.0, window=0.0)
+    assert len(gs.events_of(simulator, scene, gs.Motion(), 0.1, sensor)) == 0
+    motion = gs.Motion(pan=(0, 100.0))
+    found = gs.events_of(simulator, scene, motion, 0.08, sensor)
+    assert found.dtype == EVENT and (np.diff(found["t"]) >= 0).all() and len(found)
+    first, last = (np.log(np.array(simulator.device.numpy(simulator.program(
+        scene.viewed(motion.at(time)), 1.0).output("mean"))).astype(float) + sensor.dark) for time in (0.0, 0.08))
+    signed = np.zeros((32, 48))
+    np.add.at(signed, (found["y"], found["x"]), found["p"])
+    change = last - first
+    assert np.abs(signed * 0.3 - change).max() < 0.3 + 1e-3  # the level ends within a threshold of the light
+    assert np.abs(signed).max() >= 2
+
+
+def test_events_are_written_and_depend_on_the_seed_alone(tmp_path):
+    times = np.linspace(0, 0.1, 21)
+    rates = [np.full((8, 9), 3000.0 * (1 + time)) for time in times]
+    one, again, other = (gs.EventSensor(window=0.01, on=0.05, off=0.05, seed=seed).events(times, rates)
+                         for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert len(one) and not np.array_equal(one, other)
+    gs.write_events(tmp_path / "a.npz", one, (8, 9))
+    with np.load(tmp_path / "a.npz") as file:
+        assert tuple(file["shape"]) == (8, 9)
+        for name in EVENT.names:
+            np.testing.assert_array_equal(file[name], one[name])
+
+
+@pytest.mark.parametrize("asked, words", [({"on": 0}, "events.on = 0"), ({"dark": 0}, "events.dark"),
+                                          ({"refractory": -1}, "events.refractory"), ({"leak": np.nan}, "events.leak")])
+def test_sensors_that_are_none(asked, words):
+    with pytest.raises(OutOfRange, match=words):
+        gs.EventSensor(**asked)
+
+
+def test_bad_times_and_rates():
+    sensor, flat = gs.EventSensor(), np.ones((3, 4))
+    for times, rates, words in (([0.0], [flat], "two or more"), ([0.0, 0.0], [flat] * 2, "rising"),
+                                ([0.0, 1.0], [flat, -flat], "finite light"), ([0.0, 1.0], [flat, flat.T], "as before")):
+        with pytest.raises(BadData, match=words):
+            sensor.events(times, rates)
+    simulator, scene = gs.Simulator(PHONE, device="numpy"), gs.chart("flat", size=(8, 8))
+    with pytest.raises(OutOfRange, match="duration"):
+        gs.events_of(simulator, scene, gs.Motion(), 0)
+    with pytest.raises(OutOfRange, match="slower camera"):
+        gs.events_of(simulator, scene, gs.Motion(pan=(0, 9e4)), 1.0)
