@@ -70,9 +70,13 @@ class Batch:
         if self.simulator.tolerance is None:
             frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
             return _as(pictures, self.simulator.device, frames)
+        each = {name: list(value) if isinstance(value, Iterable) else [value] * len(scenes)
+                for name, value in settings.items()}
+        for name, given in each.items():
+            if len(given) != len(scenes):
+                raise BadData(f"batch: {len(given)} of {name}, wanted one for all items or {len(scenes)} of them")
         frames = [self.simulator.batch(1, self.output)(scene, seed=seed, frame=first + item, **{
-            name: value[item] if isinstance(value, Iterable) else value for name, value in settings.items()})
-            for item, scene in enumerate(scenes)]
+            name: given[item] for name, given in each.items()}) for item, scene in enumerate(scenes)]
         return _as(pictures, self.simulator.device, np.concatenate([
             np.array(self.simulator.device.numpy(one)) for one in frames]))
 

@@ -159,4 +159,4 @@ def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: floa
 def write_events(path, events: np.ndarray, shape: tuple[int, int]):
     """Write events as .npz: t [s], x, y, p, and rows and columns of the sensor as `shape`. Raises BadFile."""
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, shape=np.array(shape), **{name: events[name] for name in EVENT.names})
+        np.savez_compressed(file, shape=np.array(shape), t=events["t"], x=events["x"], y=events["y"], p=events["p"])

@@ -79,7 +79,7 @@ def test_mismatch_scatters_thresholds():
 
 
 def noise_rate(sigma, threshold):
-    """Events an instant of light that scatters normally, in the mean over where a pixel's level began: at such light."""
+    """Events an instant of light that scatters normally, in the mean over where a level began: at such light."""
     begun = norm.ppf((np.arange(200) + 0.5) / 200) * sigma / threshold
     return np.mean([chain_rate(sigma, threshold, offset) for offset in begun])
 

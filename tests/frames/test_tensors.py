@@ -101,8 +101,9 @@ def test_bad_settings():
         gs.Batch(PHONE, device="numpy", output="rgb")
     with pytest.raises(OutOfRange, match="light"):
         gs.Batch(PHONE, device="numpy", light=None)
-    with pytest.raises(BadData, match="3 of exposure_time"):
-        gs.Batch(PHONE, device="numpy")(PICTURES, exposure_time=[0.1] * 3)
+    for tolerance in (None, "video"):
+        with pytest.raises(BadData, match="3 of exposure_time"):
+            gs.Batch(PHONE, device="numpy", tolerance=tolerance)(PICTURES, exposure_time=[0.1] * 3)
 
 
 @needs_torch
