@@ -20,7 +20,7 @@ _PUBLIC = {
     "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",
     "View": "gpusim.domain.view", "Batch": "gpusim.batches",
     "EventSensor": "gpusim.captures.events", "events_of": "gpusim.captures.events",
-    "write_events": "gpusim.captures.events",
+    "write_events": "gpusim.io.events",
     "Motion": "gpusim.domain.motion", "Flicker": "gpusim.domain.flicker",
     "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
     "average": "gpusim.captures.burst", "read_nondestructively": "gpusim.captures.reads",

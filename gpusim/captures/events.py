@@ -10,7 +10,6 @@ from gpusim.captures.moving import STEP, farthest
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.io.atomic import atomic_path
 from gpusim.simulator import Simulator
 
 EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
@@ -154,9 +153,3 @@ def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: floa
             yield np.array(simulator.device.numpy(program.output("mean", seed=0, frame=0)))
 
     return sensor.events(times, rates())
-
-
-def write_events(path, events: np.ndarray, shape: tuple[int, int]):
-    """Write events as .npz: t [s], x, y, p, and rows and columns of the sensor as `shape`. Raises BadFile."""
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, shape=np.array(shape), t=events["t"], x=events["x"], y=events["y"], p=events["p"])

@@ -1,7 +1,7 @@
 """What stands in front of the camera: spectral reflectance (or radiance) apart from the light."""
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -124,6 +124,12 @@ class Scene:
         scene = copy(self)
         object.__setattr__(scene, "view", view)
         scene._check_view()
+        return scene
+
+    def brightened(self, factor: float) -> "Scene":
+        """The same in so many times the light; its samples are not looked at again."""
+        scene = copy(self)
+        object.__setattr__(scene, "illuminant", replace(self.illuminant, values=factor * self.illuminant.values))
         return scene
 
     @property

@@ -3,18 +3,20 @@
 import argparse
 import time
 from fractions import Fraction
+from functools import partial
 from math import radians
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.options import add_asked, operated, scene_of, whole
+from gpusim.video.ramps import Ramps
 from gpusim.video.segments import LENGTH, Shard, segments_of
 
 MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 # Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "fps")
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp", "fps")
 
 
 def add_command(commands):
@@ -40,6 +42,9 @@ def add_command(commands):
                         "displacement, from --seed")
     parser.add_argument("--blur", action="store_true", help="of the camera's movement while it exposes, and its "
                         "rolling shutter: many times the work, as many instants a frame as the tolerance takes")
+    parser.add_argument("--ramp", type=Ramps.parse, default=Ramps(), metavar="LIST", help="what changes from the first "
+                        "frame to the last, such as exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, "
+                        "and light, a factor")
     parser.add_argument("--flicker", type=_flicker, metavar="HZ[,DEPTH]", help="all light is that of lamps on the "
                         "mains: 100 or 120, and (most - least) / (most + least) (default: 1); rows see its phase")
     parser.add_argument("--pwm", type=_switched, metavar="HZ,DUTY", help="all light is switched so many times a "
@@ -135,6 +140,8 @@ def video(arguments) -> int:
     elif arguments.blur:
         raise OutOfRange("--blur", "given", "with --pan, --roll, --zooming or --shake: the camera rests")
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
+    for part in (0.0, 1.0):
+        within_period(arguments.ramp.camera(camera, part), arguments.fps)  # said before the work
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
     segments = segments_of(scenes.count, arguments.segment)
@@ -214,7 +221,8 @@ def _target(path, arguments, simulator, scenes, segments):
     from gpusim.video.manifest import digest, file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
-    frames_of = blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames
+    frames_of = partial(blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames,
+                        ramps=arguments.ramp)
     camera, suffix = simulator.camera, path.suffix.lower()
     made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names,
             "contents of files": [file_digest(name) for name in (scenes.names if len(arguments.scene) > 1 or Path(

@@ -21,8 +21,10 @@ from gpusim.simulator import Simulator
 from gpusim.video.codecs import PART, Codec, Encoder
 from gpusim.video.manifest import PARTS
 from gpusim.video.pipeline import ahead
+from gpusim.video.ramps import Ramps
 from gpusim.video.scenes import Moving, Scenes
 
+NO_RAMPS = Ramps()
 READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
 
 
@@ -52,23 +54,26 @@ def within_period(camera: Camera, rate: Fraction) -> Camera:
 
 
 def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], *, seed: int = 0,
-           output: str | None = None) -> Iterator[Made]:
+           output: str | None = None, ramps: Ramps = NO_RAMPS) -> Iterator[Made]:
     """The frames that are wanted of each segment, in order.
 
     segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
-    A camera that meters exposes each frame by the light of the one before, and the first by its own.
+    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps: of all
+    frames that `scenes` has.
     """
-    program = None
+    program, last = None, max(scenes.count - 1, 1)
     for first, *wanted in segments:
-        if scenes.is_still:
+        if scenes.is_still and not ramps.ranges:
             program = program or simulator.program(next(scenes.between(0, 1)))
             yield from (_made(program, number, seed, output) for number in wanted)
             continue
         lead = first - (simulator.camera.sensor.exposure_time is None and first > 0)
         with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
-            for number, scene in enumerate(arriving, lead):
-                program = (simulator.program(scene, meters_late=True) if number == lead or program is None else
-                           program.update(scene=scene))
+            for number, shown in enumerate(arriving, lead):
+                scene = ramps.scene(shown, number / last)
+                camera = ramps.camera(simulator.camera, number / last)
+                program = (simulator.update(camera).program(scene, meters_late=True) if number == lead or (
+                    program is None) else program.update(scene=scene, camera=camera))
                 if number in wanted:
                     yield _made(program, number, seed, output)
                 else:
@@ -78,11 +83,13 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
 
 
 def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
-                   output: str | None = None) -> Iterator[Made]:
+                   output: str | None = None, ramps: Ramps = NO_RAMPS) -> Iterator[Made]:
     """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
+    last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
-            scene = next(scenes.still.between(number, number + 1))
+            scene = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
+            simulator = still.update(ramps.camera(still.camera, number / last)) if ramps.ranges else still
             exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
                                      flicker=scenes.flicker)
             account = exposure.plan.account.at(exposure.exposure_time)

@@ -52,6 +52,10 @@ ALLOWED = {
     "gpusim.video": {"gpusim.captures", "gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
                      "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
+    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.simulator"},
+    "gpusim.ray": {"gpusim.batches", "gpusim.domain"},
+    "gpusim.replicator": {"gpusim.batches", "gpusim.domain"},
+    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.simulator"},
 }
 # from above to below: none may reach one before it, by whatever way
 CHAIN = ("gpusim.captures", "gpusim.simulator", "gpusim.program", "gpusim.planner", "gpusim.optics", "gpusim.domain")

@@ -1,0 +1,77 @@
+"""What changes evenly over a video: each frame is that of its own camera and light."""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cameras import PHONE
+from devices import KINDS
+
+import gpusim as gs
+from gpusim.cli import main
+from gpusim.video.ramps import Ramps
+from gpusim.video.scenes import Still
+from gpusim.video.video import frames
+
+
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("asked", [
+    "exposure=1/500..1/40", "focus=0.1..2,exposure=0.01..0.01", "light=1..0.2,exposure=1/100..1/100",
+    "f-number=2..8,iso=100..800,exposure=0.01..0.02"])
+def test_frames_are_those_of_their_own_settings(device, asked):
+    """Without a tolerance, where a plan depends on nothing but the camera: evenly in the logarithm."""
+    simulator, scene = gs.Simulator(PHONE, device=device), gs.chart("deadleaves", size=(48, 32))
+    ramps = Ramps.parse(asked)
+    found = list(frames(simulator, Still(scene, 4), [[0, 0, 1, 2, 3]], seed=3, output="raw", ramps=ramps))
+    assert [one.number for one in found] == [0, 1, 2, 3]
+    for number, one in enumerate(found):
+        values = {name: first ** (1 - number / 3) * last ** (number / 3) for name, (first, last) in ramps.ranges}
+        camera, lit = PHONE, scene
+        if "exposure" in values:
+            camera = replace(camera, sensor=replace(camera.sensor, exposure_time=values["exposure"]))
+        if "iso" in values:
+            from gpusim.planner.speed import gain_for_speed
+
+            camera = replace(camera, sensor=replace(camera.sensor, analog_gain=gain_for_speed(
+                camera.sensor, values["iso"]), auto_exposure=replace(camera.sensor.auto_exposure, most_gain=1.0)))
+        lens = {"f-number": "f_number", "focus": "object_distance"}
+        camera = replace(camera, optics=replace(camera.optics, **{
+            key: values[name] for name, key in lens.items() if name in values}))
+        if "light" in values:
+            light = scene.illuminant
+            lit = replace(scene, illuminant=gs.Spectrum(light.wavelengths, values["light"] * light.values))
+        own = gs.Simulator(camera, device=device)
+        expected = own.program(lit).raw(seed=3, frame=number)
+        # powers round, so that settings differ in their last bits, and a few values by one
+        assert np.abs(one.values.astype(int) - np.array(own.device.numpy(expected)).astype(int)).max() <= 1
+        assert (one.values != np.array(own.device.numpy(expected))).mean() < 1e-3
+
+
+@pytest.mark.parametrize("more", [[], ["--blur", "--pan", "0,60"]])
+def test_shards_and_what_is_missing_are_the_same(more, tmp_path):
+    arguments = ["video", "ramp", "--camera", "phone", "--device", "numpy", "--size", "24x16", "--frames", "6",
+                 "--segment", "2", "--ramp", "light=1..6,focus=0.2..3", *more]
+    assert main([*arguments, "-o", str(tmp_path / "a.png")]) == 0
+    expected = {path.name: path.read_bytes() for path in tmp_path.glob("a_*.png")}
+    assert len(expected) == 6 and len({*expected.values()}) == 6
+    other = tmp_path / "other"
+    other.mkdir()
+    for part in ("1/2", "0/2"):
+        assert main([*arguments, "--shard", part, "-o", str(other / "a.png")]) == 0
+    (other / "a_0003.png").unlink()
+    assert main([*arguments, "-o", str(other / "a.png")]) == 0
+    assert {path.name: path.read_bytes() for path in other.glob("a_*.png")} == expected
+
+
+@pytest.mark.parametrize("text", ["zoom=1..2", "focus=1", "focus=0..2", "focus=1..nan", "iso=1..2,iso=1..2", "",
+                                  "light=1..2..3"])
+def test_ramps_that_are_none(text):
+    with pytest.raises(argparse.ArgumentTypeError, match=r"wanted NAME=FIRST\.\.LAST"):
+        Ramps.parse(text)
+
+
+def test_a_ramp_to_an_exposure_longer_than_the_frame_is_refused_before_the_work(tmp_path, capsys):
+    assert main(["video", "flat", "--camera", "phone", "--frames", "3", "--ramp", "exposure=1/100..1/2", "-o",
+                 str(tmp_path / "a.png")]) == 2
+    assert "exposure time of a video = 0.5 s" in capsys.readouterr().err and not any(tmp_path.iterdir())
