@@ -37,7 +37,7 @@ class Frames:
         for item, number in enumerate(numbers):
             picture = np.asarray(pictures[item])
             picture = np.moveaxis(picture, -1, 0) if self._channels_last else picture
-            own = {name: None if value[item] is None else float(value[item]) for name, value in settings.items()}
+            own = {name: value[item] for name, value in settings.items()}
             made = self._batch(np.ascontiguousarray(picture[None]), first=int(number), seed=self._seed, **own)
             frames.append(made[0])
         return rows | {self._frame: np.stack(frames)}
