@@ -189,6 +189,11 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     @cached_property
+    def contrast(self) -> float:
+        """Standard deviation of the frame's light over its root mean square as a lens shows it."""
+        return float(np.std(_inside(self.image, self.margin), dtype=np.float64)) / self.level
+
+    @cached_property
     def darkest(self) -> tuple[float, float]:
         """99.9 % quantile and maximum over the frame of 1 / `sigmas`."""
         least = 1 / self.sigmas

@@ -25,9 +25,9 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
-# Relative RMS in q of the splines beside tiles, by how many spacings are in a Gaussian of LEAST samples; less as the
-# square of a wider one. Measured on leaves and a ColorChecker, q .4 to 1.6: within 20 %
-TILES_SPLINES = {1.0: 4.6e-5, 1.2: 1.75e-5, 1.6: 3.9e-6}
+# Relative RMS of the splines beside tiles, in q and the light's contrast, by how many spacings are in a Gaussian of
+# LEAST samples; less as the square of a wider one. Measured on leaves and a ColorChecker, q .4 to 1.6: within 20 %
+TILES_SPLINES = {1.0: 7.2e-5, 1.2: 2.7e-5, 1.6: 6.1e-6}
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
@@ -117,7 +117,7 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
     """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
     if not outside.level > 0:
         return 0.0
-    splines = TILES_SPLINES[far.spacings] * question.mean_q * (LEAST_SIGMA / far.sigmas[0]) ** 2
+    splines = TILES_SPLINES[far.spacings] * question.mean_q * outside.contrast * (LEAST_SIGMA / far.sigmas[0]) ** 2
     return sqrt(splines**2 + SPLINES**2) + outside.missing / outside.level
 
 
