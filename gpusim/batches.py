@@ -13,7 +13,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import described, type_of
+from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.scenes import LIGHT, LUMINANCE
 from gpusim.simulator import Simulator
@@ -66,7 +66,7 @@ class Batch:
         if type_of(values) not in (np.float16, np.float32, np.float64):
             raise BadData(f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
-        settings = {"camera": camera, "exposure_time": exposure_time, "gain": gain}
+        settings = {"camera": camera, "exposure_time": _listed(exposure_time), "gain": _listed(gain)}
         if self.simulator.tolerance is None:
             frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
             return _as(pictures, self.simulator.device, frames)
@@ -101,6 +101,11 @@ class Batch:
         return self._batches[shape]
 
 
+def _listed(values):
+    """Numbers of another library's array as Python's, and anything else as it is."""
+    return to_host(values, "settings").tolist() if hasattr(values, "shape") else values
+
+
 def _as(pictures, device, frames):
     """A copy of frames as an array of the pictures' library, on the device where it can be there."""
     library = sys.modules.get(type(pictures).__module__.partition(".")[0])
@@ -108,7 +113,7 @@ def _as(pictures, device, frames):
         return np.array(device.numpy(frames))
     is_torch = library.__name__ == "torch"
     if not isinstance(frames, np.ndarray) and device.kind == "warp":
-        shared = library.from_dlpack(frames)
-        return shared.clone() if is_torch else shared.copy()
+        # a copy by this device, in its turn: what the other library copied might be late for the next batch
+        return library.from_dlpack(device.reshape(device.stack([frames]), frames.shape))
     copied = np.array(device.numpy(frames))
     return library.from_numpy(copied).to(pictures.device) if is_torch else library.asarray(copied)

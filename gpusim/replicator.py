@@ -6,6 +6,7 @@ of Omniverse is needed here.
 """
 
 from collections.abc import Mapping
+from zlib import crc32
 
 import numpy as np
 
@@ -34,20 +35,21 @@ class Views:
     def __call__(self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None) -> dict:
         """A frame of every view in `data`, by its name ("" of a single one), as `gpusim.Batch` gives it.
 
-        number: of this call among all; each view draws noise of its own. Raises BadData for data without such frames
-        and views without a camera.
+        number: of this call among all. Each view draws noise of its own, by its name. Raises BadData for data without
+        such frames and views without a camera.
         """
         found = {key[len(COLOUR):].lstrip("-_"): values for key, values in data.items() if key.startswith(COLOUR)}
         if not found:
             raise BadData(f"rendered data: {', '.join(map(str, data)) or 'nothing'}; wanted {COLOUR}: attach that "
                           "annotator")
         frames = {}
-        for index, name in enumerate(sorted(found)):
+        for name in sorted(found):
             batch = self._batches.get(name) or self._batches.get("")
             if batch is None:
                 raise BadData(f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}")
             picture = channels_first(found[name])
-            frames[name] = batch(picture, first=number * len(found) + index, seed=seed, exposure_time=exposure_time)[0]
+            own = (seed + crc32(name.encode())) % 2**64  # by its name alone: other views may come and go
+            frames[name] = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
         return frames
 
 

@@ -7,13 +7,14 @@ from math import ceil, inf
 import numpy as np
 
 from gpusim.captures.moving import STEP, farthest
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.simulator import Simulator
 
 EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
 MOST = 100_000  # instants
+COARSEST = 100.0  # of them in a second, in which the hand of a `Motion` turns back eight times at most
 LEAST_THRESHOLD = 0.01  # of a pixel, whatever its mismatch
 
 
@@ -46,11 +47,13 @@ class EventSensor:
                 raise OutOfRange(f"events.{name}", value, f"{low:g} or more")
         if not self.dark > 0:
             raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
+        checked_count("events.seed", self.seed, 0, 2**64 - 1)
 
     def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
         """Events of light at rising instants [s]; rates: of electrons there, each (rows, cols) [e- s-1].
 
-        Between two instants the logarithm of the light changes linearly. Returns an array of EVENT, by time: t [s],
+        Between two instants the logarithm of the light changes linearly; each is scattered by itself, so that instants
+        a `window` apart have the noise of such pixels, and fewer have less. Returns an array of EVENT, by time: t [s],
         column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
         """
         times, found, state = np.asarray(times, np.float64), [], None
@@ -58,7 +61,10 @@ class EventSensor:
             raise BadData(f"times of events: shape {times.shape}; wanted two or more finite instants in seconds, "
                           "rising")
         random = np.random.Generator(np.random.Philox(self.seed))
-        for number, (time, rate) in enumerate(zip(times, rates, strict=True)):
+        given = iter(rates)
+        for number, time in enumerate(times):
+            if (rate := next(given, None)) is None:
+                raise BadData(f"rates of events: {number}, wanted one for each of {len(times)} instants")
             light = np.asarray(rate, np.float64)
             if light.ndim != 2 or not np.isfinite(light).all() or (light < 0).any():
                 raise BadData(f"rates of events at {time:g} s: shape {light.shape}; wanted finite light (rows, cols)")
@@ -133,18 +139,19 @@ def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: floa
     """Events of a camera that moves before a scene, see `EventSensor.events`.
 
     Each pixel sees the light that the simulator's camera gathers there, its own colour of a mosaic. duration, start:
-    [s]. instants: at which the scene is seen; None: so many that the camera moves STEP samples between two.
-    Raises as `Simulator.expose` does, and OutOfRange.
+    [s]. instants: at which the scene is seen; None: a `window` of the sensor apart, or nearer where the camera moves
+    more than STEP samples between two. Raises as `Simulator.expose` does, and OutOfRange.
     """
     scene, sensor = checked_scene(scene), EventSensor() if sensor is None else sensor
     if not 0 < duration < inf:
         raise OutOfRange("duration of events", duration, "above 0 s")
     if instants is None:
-        coarse = start + duration * np.linspace(0, 1, 65)
-        instants = 2 + ceil(64 * farthest(scene, motion, coarse) / STEP)
-    if not 2 <= instants <= MOST:
-        raise OutOfRange("instants of events", instants, f"2 .. {MOST}; a shorter time or a slower camera needs fewer")
-    times = start + duration * np.linspace(0, 1, instants)
+        instants = 1 + ceil(max(duration / sensor.window if sensor.window else 1, COARSEST * duration))
+        times = start + duration * np.linspace(0, 1, min(instants, MOST))
+        instants = 1 + ceil((instants - 1) * max(farthest(scene, motion, times) / STEP, 1))
+    if instants > MOST:
+        raise OutOfRange("instants of events", instants, f"up to {MOST}: a shorter time or a slower camera")
+    times = start + duration * np.linspace(0, 1, checked_count("instants of events", instants, 2, MOST))
     program = simulator.program(scene.viewed(motion.at(start)), 1.0)
 
     def rates():

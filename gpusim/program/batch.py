@@ -52,6 +52,13 @@ class Batch:
         if len(sizes) > 1:
             raise BadData("batch: scenes of " + ", ".join(f"{cols}x{rows}" for rows, cols in sorted(sizes)) +
                           " pixels; wanted one size")
+        try:
+            return self._frames(values)
+        except BaseException:
+            self._items = [None] * self.count  # what was left undone would be judged in the next call
+            raise
+
+    def _frames(self, values):
         programs, frames = [], []
         for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
             program = self._program(item, own, by).update(scene=own, exposure_time=its_time, gain=its_gain)

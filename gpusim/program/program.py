@@ -98,6 +98,7 @@ class Program:
         self.kept = self.before.kept if before is None else before.kept.beside()
         self._pending: _Look | None = None
         self._metered: tuple[float, float] | None = None
+        self._operates: tuple[float, float] | None = None  # what was metered for this frame, from update to update
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
 
@@ -110,7 +111,7 @@ class Program:
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
-        self.scene = scene
+        self.scene, self._operates = scene, None
         self.simulator, self._exposure_time = simulator, seconds
         return self
 
@@ -186,7 +187,9 @@ class Program:
         """The exposure without its times."""
         last, settings = self._last, (self.simulator, self._exposure_time, self._gain)
         is_same = last is not None and all(own is its for own, its in zip(last.settings, settings, strict=True))
-        if is_same and last.scene is self.scene and self._pending is None and self.before.plan and (
+        automatic = self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
+        is_metered = not (self.meters_late and automatic) or self._operates is not None  # for this frame
+        if is_same and is_metered and last.scene is self.scene and self._pending is None and self.before.plan and (
                 self.before.plan[0] is last.plan):
             return last.exposure
         self._last = None  # its arrays are written to from here on
@@ -288,11 +291,14 @@ class Program:
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
         if seconds is not None:
             return float(seconds), float(self._gain)
+        if self._operates is not None:
+            return self._operates  # however often the frame is asked for: its own light is for the next one
         if self.meters_late and self._metered:
-            return self._metered
-        light, key = per_second(), (*of, metered_by(simulator))
-        found = self.kept("metered", key, lambda: metered(simulator, light))
-        self._metered = found
+            found = self._metered
+        else:
+            light, key = per_second(), (*of, metered_by(simulator))
+            found = self._metered = self.kept("metered", key, lambda: metered(simulator, light))
+        self._operates = found if self.meters_late else None
         return found
 
     def _look(self, made, mean, seconds):

@@ -45,7 +45,8 @@ class Ramps:
 
     def at(self, part: float) -> dict[str, float]:
         """Values at a part of the video, 0 .. 1."""
-        return {name: float(first * (last / first) ** part) for name, (first, last) in self.ranges}
+        return {name: float(min(max(first * (last / first) ** part, min(first, last)), max(first, last)))
+                for name, (first, last) in self.ranges}  # a power rounds, and must not leave the range
 
     def camera(self, camera: "Camera", part: float) -> "Camera":
         """The camera there. Raises what it does for settings that it cannot have."""

@@ -72,12 +72,14 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
             for number, shown in enumerate(arriving, lead):
                 scene = ramps.scene(shown, number / last)
                 camera = ramps.camera(simulator.camera, number / last)
-                program = (simulator.update(camera).program(scene, meters_late=True) if number == lead or (
-                    program is None) else program.update(scene=scene, camera=camera))
-                if number in wanted:
-                    yield _made(program, number, seed, output)
+                if number == lead or program is None:
+                    program = simulator.update(camera).program(scene, meters_late=True)
                 else:
-                    program.account  # noqa: B018  it is exposed, for what the next frame takes of it
+                    other = {} if camera is program.simulator.camera else {"camera": camera}
+                    program.update(scene=scene, **other)
+                made = _made(program, number, seed, output)  # unwanted, too, for what the next one takes of it
+                if number in wanted:
+                    yield made
         if program is not None:
             program.judge()
 

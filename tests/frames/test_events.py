@@ -113,6 +113,16 @@ def test_the_rate_of_noise_is_that_of_theory(electrons, threshold):
 
 
 @pytest.mark.parametrize("device", KINDS)
+def test_a_still_camera_sees_noise(device):
+    """As much as at instants a window apart: what is seen does not depend on how fast the camera moves."""
+    simulator, scene = gs.Simulator(PHONE, device=device), gs.chart("flat", size=(24, 16))
+    sensor = gs.EventSensor(on=0.02, off=0.02, mismatch=0.0, leak=0.0, window=0.002)
+    own, asked = (gs.events_of(simulator, scene, gs.Motion(), 0.1, sensor, instants=count) for count in (None, 51))
+    np.testing.assert_array_equal(own, asked)
+    assert len(own) > 100
+
+
+@pytest.mark.parametrize("device", KINDS)
 def test_an_edge_that_passes(device):
     """Every pixel that a bright edge passes sees its logarithm rise once: as many events as thresholds fit in it."""
     camera = camera_with(optics={"relative_illumination": "none"})
@@ -146,7 +156,8 @@ def test_events_are_written_and_depend_on_the_seed_alone(tmp_path):
 
 
 @pytest.mark.parametrize("asked, words", [({"on": 0}, "events.on = 0"), ({"dark": 0}, "events.dark"),
-                                          ({"refractory": -1}, "events.refractory"), ({"leak": np.nan}, "events.leak")])
+                                          ({"refractory": -1}, "events.refractory"), ({"leak": np.nan}, "events.leak"),
+                                          ({"seed": -1}, "events.seed"), ({"seed": 1.5}, "events.seed")])
 def test_sensors_that_are_none(asked, words):
     with pytest.raises(OutOfRange, match=words):
         gs.EventSensor(**asked)
@@ -155,11 +166,14 @@ def test_sensors_that_are_none(asked, words):
 def test_bad_times_and_rates():
     sensor, flat = gs.EventSensor(), np.ones((3, 4))
     for times, rates, words in (([0.0], [flat], "two or more"), ([0.0, 0.0], [flat] * 2, "rising"),
+                                ([0.0, 1.0, 2.0], [flat, flat], "2, wanted one for each of 3"),
                                 ([0.0, 1.0], [flat, -flat], "finite light"), ([0.0, 1.0], [flat, flat.T], "as before")):
         with pytest.raises(BadData, match=words):
             sensor.events(times, rates)
     simulator, scene = gs.Simulator(PHONE, device="numpy"), gs.chart("flat", size=(8, 8))
     with pytest.raises(OutOfRange, match="duration"):
         gs.events_of(simulator, scene, gs.Motion(), 0)
+    with pytest.raises(OutOfRange, match="instants"):
+        gs.events_of(simulator, scene, gs.Motion(), 0.1, instants=10.5)
     with pytest.raises(OutOfRange, match="slower camera"):
         gs.events_of(simulator, scene, gs.Motion(pan=(0, 9e4)), 1.0)

@@ -71,6 +71,37 @@ def test_ramps_that_are_none(text):
         Ramps.parse(text)
 
 
+def test_ends_are_what_was_given():
+    """1/30 by way of a power of its ratio to 1/500 is one ulp more, and longer than a frame."""
+    ramps = Ramps.parse("exposure=1/500..1/30,iso=800..100")
+    assert ramps.at(0.0) == {"exposure": 1 / 500, "iso": 800.0} and ramps.at(1.0)["exposure"] <= 1 / 30
+    assert all(100 <= ramps.at(part)["iso"] <= 800 for part in np.linspace(0, 1, 101))
+
+
+@pytest.mark.parametrize("output", [None, "raw"])
+def test_automatic_exposure_follows_the_light_of_the_frame_before(output):
+    """Light that jumps tenfold finds the exposure of the frame before; the next one is set for it."""
+    simulator, scene = gs.Simulator(PHONE, device="numpy"), gs.chart("ramp", size=(24, 16))
+    bright = scene.brightened(10)
+
+    class Jump(Still):
+        is_still = False
+
+        def between(self, first, end):
+            return iter([scene, scene, bright, bright, bright][first:end])
+
+    made = list(frames(simulator, Jump(scene, 5), [[0, 0, 1, 2, 3, 4]], output=output))
+    alone = [simulator.expose(one).exposure_time for one in (scene, bright)]
+    expected = [alone[0]] * 3 + [alone[1]] * 2
+    if output is None:
+        np.testing.assert_allclose([one.account.seconds for one in made], expected, rtol=1e-5)
+    else:
+        for one, seconds in zip(made, expected, strict=True):
+            lit = scene if one.number < 2 else bright
+            raw = simulator.program(lit, seconds).raw(seed=0, frame=one.number)
+            assert np.abs(one.values.astype(int) - np.array(raw).astype(int)).max() <= 1  # of times' last bits
+
+
 def test_a_ramp_to_an_exposure_longer_than_the_frame_is_refused_before_the_work(tmp_path, capsys):
     assert main(["video", "flat", "--camera", "phone", "--frames", "3", "--ramp", "exposure=1/100..1/2", "-o",
                  str(tmp_path / "a.png")]) == 2

@@ -1,6 +1,7 @@
 """A renderer's frames through cameras: what a writer is handed becomes the frames of a batch."""
 
 import importlib.util
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -46,10 +47,14 @@ def test_a_writer_hands_on_frames_of_batches(device, library):
         writer.write({f"HdrColor-{name}": given(library, FRAME * (1 + number)) for name in cameras} | {"rp_depth": 0})
     for number, frames in enumerate(writer.written):
         assert list(frames) == ["left", "right"]
-        for index, (name, camera) in enumerate(cameras.items()):
+        for name, camera in cameras.items():
             pictures = (FRAME * (1 + number))[None, ..., :3].transpose(0, 3, 1, 2)
-            expected = gs.Batch(camera, device=device)(pictures, first=2 * number + index, seed=3, exposure_time=0.01)
+            expected = gs.Batch(camera, device=device)(pictures, first=number, seed=3 + crc32(name.encode()),
+                                                       exposure_time=0.01)
             np.testing.assert_array_equal(np.asarray(frames[name]), expected[0])
+            alone = Views(cameras, device=device)({f"HdrColor-{name}": given(library, FRAME * (1 + number))},
+                                                  number=number, seed=3, exposure_time=0.01)
+            np.testing.assert_array_equal(np.asarray(alone[name]), expected[0])
 
 
 def test_one_camera_for_all_views_and_what_is_not_there():

@@ -123,6 +123,31 @@ def test_tensors_give_tensors_without_gradients(device):
     np.testing.assert_array_equal(found.numpy(), expected)
 
 
+@pytest.mark.parametrize("tolerance", [None, "video"])
+def test_settings_as_arrays_and_tensors(tolerance):
+    times = np.array([0.01, 0.02, 0.005, 0.01])
+    batch = gs.Batch(PHONE, device="numpy", tolerance=tolerance)
+    expected = batch(PICTURES, exposure_time=times.tolist(), gain=2.0)
+    np.testing.assert_array_equal(batch(PICTURES, exposure_time=times, gain=np.array(2.0)), expected)
+    if importlib.util.find_spec("torch"):
+        import torch
+
+        np.testing.assert_array_equal(batch(PICTURES, exposure_time=torch.from_numpy(times), gain=2.0), expected)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_batch_that_was_refused_leaves_nothing_for_the_next(device):
+    """Also where the device alone sees the pictures: those of the next call are good."""
+    batch = gs.Batch(PHONE, device=device)
+    expected = batch(PICTURES, exposure_time=0.01)
+    there = batch.simulator.device
+    bad = PICTURES.copy()
+    bad[1:3, :, 3, 3] = np.nan
+    with pytest.raises(BadData, match="NaN"):
+        batch(there.array(bad), exposure_time=0.01)
+    np.testing.assert_array_equal(batch(there.array(PICTURES), exposure_time=0.01), expected)
+
+
 @needs_torch
 @pytest.mark.slow  # every worker starts Python, gpusim and a device
 @pytest.mark.parametrize("device", KINDS)
