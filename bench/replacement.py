@@ -11,10 +11,12 @@ from dataclasses import replace
 
 import matplotlib
 import numpy as np
-from results import start
+from results import count, start
 
 import gpusim as gs
+from gpusim.cli import OneLineParser
 from gpusim.domain.display import DISPLAYS
+from gpusim.io.atomic import check_output
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
@@ -49,13 +51,22 @@ def expected(raw_mean, sensor) -> np.ndarray:
     return gain * (raw_mean - sensor.dark_level) + (gain * sensor.read_sigma) ** 2 + 1 / 12
 
 
+def several(text: str) -> int:
+    """A number of frames that have a variance, of the command line."""
+    value = count(text)
+    if value < 2:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted 2 frames or more")
+    return value
+
+
 def main():
     """Plot, and print how far the camera's raw variance is from theory."""
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--device", default="auto")
-    made.add_argument("--count", type=int, default=200, help="frames (default: 200)")
-    made.add_argument("--out", default="replacement.png")
+    made = OneLineParser(description=__doc__.splitlines()[0])
+    made.add_argument("--device", default="auto", help="as for gpusim simulate (default: auto)")
+    made.add_argument("--count", type=several, default=200, help="frames, 2 or more (default: 200)")
+    made.add_argument("--out", default="replacement.png", metavar="FILE")
     arguments = made.parse_args()
+    check_output(arguments.out)
     base, frame = gs.open_camera("machine-vision"), rendered()
     noise = replace(base.sensor.noise, prnu=0.0, dsnu=0.0)  # which differ from pixel to pixel, not in time
     base = replace(base, sensor=replace(base.sensor, noise=noise),

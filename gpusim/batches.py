@@ -5,7 +5,6 @@ Not differentiable: no gradient goes through a frame, whose noise is drawn and w
 
 import sys
 from collections import OrderedDict
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.scenes import LIGHT, LUMINANCE
+from gpusim.program.batch import one_each
 from gpusim.simulator import Simulator
 
 SHAPES = 4  # of batches whose programs are kept
@@ -70,11 +70,7 @@ class Batch:
         if self.simulator.tolerance is None:
             frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
             return _as(pictures, self.simulator.device, frames)
-        each = {name: list(value) if isinstance(value, Iterable) else [value] * len(scenes)
-                for name, value in settings.items()}
-        for name, given in each.items():
-            if len(given) != len(scenes):
-                raise BadData(f"batch: {len(given)} of {name}, wanted one for all items or {len(scenes)} of them")
+        each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         frames = [self.simulator.batch(1, self.output)(scene, seed=seed, frame=first + item, **{
             name: given[item] for name, given in each.items()}) for item, scene in enumerate(scenes)]
         return _as(pictures, self.simulator.device, np.concatenate([

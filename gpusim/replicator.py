@@ -26,11 +26,8 @@ class Views:
     """
 
     def __init__(self, cameras: Camera | Mapping[str, Camera], **settings):
-        self._cameras, self._settings = cameras, settings
-        self._batches: dict[str, Batch] = {}
         named = cameras if isinstance(cameras, Mapping) else {"": cameras}
-        for name, camera in named.items():
-            self._batches[name] = Batch(camera, **settings)
+        self._batches = {name: Batch(camera, **settings) for name, camera in named.items()}
 
     def __call__(self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None) -> dict:
         """A frame of every view in `data`, by its name ("" of a single one), as `gpusim.Batch` gives it.

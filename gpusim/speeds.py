@@ -17,7 +17,7 @@ SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
 GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
 REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
 SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
-IN_A_ROW = 100  # of these on a GPU, whose clock is slow when it had to wait
+IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to wait
 
 
 class Speeds:
@@ -55,19 +55,21 @@ class Speeds:
         inputs = stage_module(stage).bench(rows, cols)
         resident = {key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
                     for key, value in inputs.items()}
-        function, times, in_a_row, tape = public_function(stage), [], 1, Tape()
+        function, times, in_a_row, tape = public_function(stage), [], 0, Tape()
 
         def run():
             function(**resident, device=self.device)
 
         with noted(tape if self.device.is_gpu else None):
             run()  # and built
-        if self.device.is_gpu:
-            in_a_row = IN_A_ROW
-            if tape.is_replayable:  # as in a program's frames, where nothing small is copied to the device again
-                run = tape.replay
-        for _ in range(in_a_row if self.device.is_gpu else 0):
+        if self.device.is_gpu and tape.is_replayable:  # as in a program's frames, where nothing small is copied again
+            run = tape.replay
+        warm = time.perf_counter() + SECONDS / 4
+        while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:
             run()
+            self.device.sync()
+            in_a_row += 1
+        in_a_row = max(in_a_row, 1)
         stop = time.perf_counter() + SECONDS
         while len(times) < 3 or (time.perf_counter() < stop and len(times) < 50):
             with self.device.timed() as ms:

@@ -4,6 +4,7 @@ Not differentiable: no gradient goes through a frame. Needs torch, which gpusim 
 """
 
 import os
+from argparse import ArgumentTypeError
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -42,7 +43,7 @@ class PairSet(Dataset):
     An item has "raw" (rows, cols), "clean" (rows, cols) [DN], "rgb" (rows, cols, 3) if asked for, as tensors, and
     "told". It depends on its number and the seed alone. Each process that asks for items opens the device for itself;
     forked ones cannot where their parent has done so before: start them by "spawn" then.
-    Raises as Simulator does, and BadData for no photographs.
+    Raises as Simulator does, and BadData for no photographs and for ranges that are none.
     """
 
     def __init__(self, photographs: Sequence, camera, *, vary: str = "", each: int = 1, seed: int = 0, device="auto",
@@ -51,7 +52,11 @@ class PairSet(Dataset):
         if not self._photographs:
             raise BadData("photographs: none, wanted the names of some files")
         self._made_by = camera, device, tolerance
-        self._asked = Variety.parse(vary) if vary else Variety(), each, seed, pictures
+        try:
+            variety = Variety.parse(vary) if vary else Variety()
+        except ArgumentTypeError as error:  # of a command line's option
+            raise BadData(f"vary: {error}") from None
+        self._asked = variety, each, seed, pictures
         self._options, self._pairs, self._process = options, None, 0
         Simulator(camera, device="numpy", tolerance=tolerance)  # says what is wrong, and opens no driver: see below
 

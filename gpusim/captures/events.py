@@ -74,8 +74,11 @@ class EventSensor:
                 raise BadData(f"rates of events at {time:g} s: {light.shape}, wanted {state.shape} as before")
             if self.window:
                 light = random.poisson(light * self.window) / self.window
-            found += state.seen(time, np.log(light + self.dark)) if number else state.begun(time, np.log(
-                light + self.dark))
+            logarithm = np.log(light + self.dark).ravel()
+            if number:
+                found += state.seen(time, logarithm)
+            else:
+                state.begin(time, logarithm)
         together = np.concatenate([np.empty(0, EVENT), *found])
         return together[np.argsort(together["t"], kind="stable")]
 
@@ -90,15 +93,13 @@ class _Pixels:
         self._time, self._last, self._level = 0.0, np.empty(0), np.empty(0)
         self._free = np.full(self._on.shape, -inf)  # end of the refractory time, -inf where the level is known
 
-    def begun(self, time, light):
-        """The first instant: what the light is compared with."""
-        self._time, self._last = time, light.ravel()
-        self._level = self._last.copy()
-        return []
+    def begin(self, time, light):
+        """The first instant: what the light's logarithm (pixels,) is compared with."""
+        self._time, self._last, self._level = time, light, light.copy()
 
-    def seen(self, time, light):
-        """Events since the instant before, some of all pixels' at a time."""
-        begun, before, now = self._time, self._last, light.ravel()
+    def seen(self, time, now):
+        """Events since the instant before, of the light's logarithm (pixels,): arrays of EVENT."""
+        begun, before = self._time, self._last
         drift = self._sensor.leak * self._on  # per second, by which the level falls
         slope = (now - before) / (time - begun)
         here, since = np.flatnonzero(self._free < time), np.full(now.shape, begun)

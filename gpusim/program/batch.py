@@ -45,7 +45,7 @@ class Batch:
         """
         given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
                  "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
-        values = {name: self._each(name, value) for name, value in given.items()}
+        values = {name: one_each(name, value, self.count) for name, value in given.items()}
         if isinstance(frame, int | np.integer):
             values["frame"] = [frame + item for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
@@ -86,15 +86,6 @@ class Batch:
             if program is not None:
                 program.judge()
 
-    def _each(self, name, value):
-        """A value for every item."""
-        if not isinstance(value, Iterable) or isinstance(value, str) or getattr(value, "shape", None) == ():
-            return [value] * self.count
-        values = list(value)
-        if len(values) != self.count:
-            raise BadData(f"batch: {len(values)} of {name}, wanted one for all items or {self.count} of them")
-        return values
-
     def _program(self, item, scene, camera):
         """The program of an item, which shares with the others what their plans have in common."""
         program = self._items[item]
@@ -126,3 +117,13 @@ class Batch:
         needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
         if needed > device.memory:
             raise DoesNotFit(f"a batch of {self.count} frames of {cols}x{rows}", needed, device.memory, device.name)
+
+
+def one_each(name: str, value, count: int) -> list:
+    """A value for every item: of one for all, or of one for each. Raises BadData for other numbers of them."""
+    if not isinstance(value, Iterable) or isinstance(value, str) or getattr(value, "shape", None) == ():
+        return [value] * count
+    values = list(value)
+    if len(values) != count:
+        raise BadData(f"batch: {len(values)} of {name}, wanted one for all items or {count} of them")
+    return values

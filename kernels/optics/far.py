@@ -169,7 +169,7 @@ class _Grids:
         """Both axes' products of (batch, parts, rows, cols), of which the parts are added up, and to `onto` if given.
 
         weights: shape (channels, batch, matrices), which mix channels of the batch for each of the matrices, whose
-        products are added up. in_parts: or, where there is little to do, are not.
+        products are added up; with `in_parts` they stay parts where there is too little to do for all of a GPU.
         """
         device, (batch, planes, *size) = self.device, given.shape
         stride, sums = planes, 1

@@ -31,7 +31,9 @@ def given(library, values):
     if library == "numpy":
         return values
     if library == "torch":
-        return pytest.importorskip("torch").from_numpy(values)
+        import torch
+
+        return torch.from_numpy(values)
     import warp
 
     return warp.array(values, dtype=warp.float16, device="cpu")

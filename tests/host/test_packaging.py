@@ -52,7 +52,7 @@ ALLOWED = {
     "gpusim.video": {"gpusim.captures", "gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.options", "gpusim.planner",
                      "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
-    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.simulator"},
+    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},
     "gpusim.replicator": {"gpusim.batches", "gpusim.domain"},
     "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.simulator"},

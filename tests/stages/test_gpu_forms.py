@@ -47,6 +47,19 @@ def test_tiles_are_transformed_in_batches_where_no_local_memory_holds_one(device
         assert case.error(found, contract.tiles(**case.inputs, device="numpy")) <= case.tolerance, case.name
 
 
+@pytest.mark.slow
+def test_the_far_field_goes_one_axis_after_the_other_where_local_memory_does_not_hold_both(device, monkeypatch):
+    contract = stage_module("optics.far")
+    monkeypatch.setattr(device, "local_bytes", contract.STEP - 1)  # of which none of its groups is content with so few
+    launched, launch = [], device.launch
+    monkeypatch.setattr(device, "launch", lambda stage, *args, **kwargs: (launched.append(stage),
+                                                                          launch(stage, *args, **kwargs))[1])
+    for case in contract.cases():
+        found = contract.far(**case.inputs, device=device)
+        assert case.error(found, contract.far(**case.inputs, device="numpy")) <= case.tolerance, case.name
+    assert "optics.far" in launched and "optics.far_groups" not in launched
+
+
 @pytest.mark.parametrize("stage, first", CASES)
 def test_the_form_for_gpus_agrees_with_the_reference(stage, first, device):
     """Within the cases' own tolerances, which hold for either form."""
