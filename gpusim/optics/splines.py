@@ -161,8 +161,8 @@ class Axis:
             if np.isinf(sigma):
                 found.append(csr_array(np.tile(self._limit(level, step), (size + 5, 1))))
                 continue
-            half = int(np.ceil(SPREAD * sigma / step))
-            taps, world = _taps(sigma / step, half) / step, self._world(level, half + 2)
+            taps = _taps(sigma / step) / step
+            world = self._world(level, len(taps) // 2 + 2)
             found.append(_banded(np.arange(size + 5), np.broadcast_to(taps, (size + 5, len(taps))),
                                  world.shape[0]) @ world)
         return Bands.of(found)
@@ -264,11 +264,18 @@ def _cubic(x):
     return np.where(x < 1, 2 / 3 - x**2 + x**3 / 2, np.maximum(2 - x, 0) ** 3 / 6)
 
 
-def _taps(sigma, half):
-    """Values g_-half .. g_half of the filter whose transfer function is that of a Gaussian over sinc^8 [spacing].
+def response(sigma: float, frequency) -> np.ndarray:
+    """Transfer function of the filter that makes a Gaussian of this sigma [spacing], at frequencies [1/spacing]."""
+    taps = _taps(sigma)[int(np.ceil(SPREAD * sigma)):]
+    return taps[0] + 2 * np.cos(2 * np.pi * np.multiply.outer(frequency, np.arange(1, len(taps)))) @ taps[1:]
+
+
+def _taps(sigma):
+    """Values of the filter whose transfer function is that of a Gaussian over sinc^8, out to SPREAD sigmas [spacing].
 
     Their sum is one, so that flat light stays what it is, however few they are.
     """
+    half = int(np.ceil(SPREAD * sigma))
     length = 1 << int(np.ceil(np.log2(2 * half + 64)))
     frequency = np.fft.rfftfreq(length)
     taps = np.fft.irfft(np.exp(-2 * (np.pi * sigma * frequency) ** 2) / np.sinc(frequency) ** 8, length)

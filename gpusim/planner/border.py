@@ -20,6 +20,8 @@ import numpy as np
 import scipy
 from scipy.special import j1
 
+from gpusim.planner.windows import Windows
+
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
 MOST_SAMPLES, MOST_TIMES = 2**22, 14
@@ -31,6 +33,8 @@ PROBED = 128  # samples along an axis at which it is predicted
 POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
 SPIKY = 10.0  # maximum over root mean square from which on a blur changes the latter
 FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
+WINDOWS, WINDOW, INNER = 12, 128, 48  # their number; samples of a side, and of that of the part that stands for others
+FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
 GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
 
 
@@ -189,9 +193,30 @@ class Outside:
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
     @cached_property
-    def contrast(self) -> float:
-        """Standard deviation of the frame's light over its root mean square as a lens shows it."""
-        return float(np.std(_inside(self.image, self.margin), dtype=np.float64)) / self.level
+    def windows(self) -> tuple[Windows, np.ndarray]:
+        """Windows of the frame, and their light, that of a dark world in it, float32 (n, WINDOW, WINDOW)."""
+        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, side=WINDOW, rim=(WINDOW - INNER) // 2,
+                             beside=1)
+        rows, cols = self.image.shape
+        y, x = (border_indices(at, n, rule_of(self.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
+        light = np.stack([self.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(np.float32)
+        if self.border == "zero":
+            light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+        return windows, light
+
+    @cached_property
+    def spectrum(self) -> tuple[np.ndarray, float]:
+        """Mean squares of the frame's light at FREQUENCIES along both axes, and of what is of longer waves."""
+        windows, light = self.windows
+        fade = scipy.signal.windows.hann(WINDOW, sym=False).astype(np.float32)
+        fade = np.multiply.outer(fade, fade)
+        light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade
+        power = np.tensordot(windows.weight, np.abs(scipy.fft.rfft2(light)) ** 2, 1)
+        power[:, 1:-1] *= 2  # for those of the other half
+        power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
+        power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
+        variance = self.level**2 - float(_inside(self.image, self.margin).mean()) ** 2
+        return power, max(variance - float(power.sum()), 0.0)
 
     @cached_property
     def darkest(self) -> tuple[float, float]:

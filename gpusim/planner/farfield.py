@@ -11,10 +11,10 @@ from math import pi, sqrt
 
 import numpy as np
 
-from gpusim.optics.ladder import LEAST as LEAST_SIGMA
+from gpusim.optics.aliases import misses
 from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
 from gpusim.optics.splines import SPACINGS
-from gpusim.planner.border import Outside, border_indices, rule_of
+from gpusim.planner.border import FREQUENCIES, Outside, border_indices, rule_of
 from gpusim.planner.question import Question
 
 LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
@@ -25,15 +25,14 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
-# Relative RMS of the splines beside tiles, in q and the light's contrast, by how many spacings are in a Gaussian of
-# LEAST samples; less as the square of a wider one. Measured on leaves and a ColorChecker, q .4 to 1.6: within 20 %
-TILES_SPLINES = {1.0: 7.2e-5, 1.2: 2.7e-5, 1.6: 6.1e-6}
+TILES_SPACINGS = 1.0, 1.2, 1.6  # of splines beside tiles in a Gaussian, from the coarsest on
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 FINER, LEAST = 3.0, 0.3  # q of a pixel of samples below which it averages waves away; what it leaves
 DISTANCES = 64  # from the seam, at which waves are added up
+SLOW = tuple(np.geomspace(1 / 4096, 1 / 128, 32))  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
 
 
@@ -87,7 +86,7 @@ def far_field(question: Question, tails, reach: float, side: int | None = None,
     """What is left to Gaussians by a blur of so many samples around the frame; None where that is too few.
 
     tails: see `tails_of`. side: of tiles that see so much around them, None: the frame is one transform [sample].
-    spacings: see `FarField`, one of TILES_SPLINES beside tiles.
+    spacings: see `FarField`, one of TILES_SPACINGS beside tiles.
     """
     optics = question.optics
     rings = RINGS * question.mean_q
@@ -117,8 +116,12 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
     """Relative root mean square error, everywhere alike, of a frame by tiles from the splines of what is far."""
     if not outside.level > 0:
         return 0.0
-    splines = TILES_SPLINES[far.spacings] * question.mean_q * outside.contrast * (LEAST_SIGMA / far.sigmas[0]) ** 2
-    return sqrt(splines**2 + SPLINES**2) + outside.missing / outside.level
+    each = question.edges @ energies(far.sigmas, far.tails)
+    power, slow = outside.spectrum
+    of = question.size, far.sigmas, each, far.spacings
+    wrong = (misses(*of, FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
+    wrong += slow * misses(*of, SLOW, (0.0,)).max(axis=(1, 2))
+    return sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2) + outside.missing / outside.level
 
 
 def _coherence(question, reach, part):

@@ -134,6 +134,12 @@ class Question:
         cfa = self.sensor.cfa_indices
         return np.bincount(cfa.ravel(), minlength=len(self.weights)) / cfa.size
 
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """Part that each wavelength has of the light of edges in each channel, shape (C, L)."""
+        light = self.weights * np.sqrt(np.maximum(np.diag(self.facts.spectra.differences), 0))
+        return light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
+
     @property
     def light(self) -> np.ndarray:
         """Electrons of all channels together for content 1 at each wavelength, shape (L,)."""

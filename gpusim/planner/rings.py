@@ -20,12 +20,10 @@ from numpy.polynomial.polynomial import polyval2d
 
 from gpusim.optics.ladder import POWERS, energies
 from gpusim.optics.tiling import Tiling
-from gpusim.planner.border import Outside, border_indices, rule_of
+from gpusim.planner.border import WINDOW, Outside
 from gpusim.planner.farfield import FarField
 from gpusim.planner.question import Question
-from gpusim.planner.windows import Windows, quantile
-
-COUNT = 12  # windows
+from gpusim.planner.windows import quantile
 
 
 def ring_errors(outside: Outside, question: Question, tiling: Tiling, far: FarField) -> tuple[float, float, float]:
@@ -36,9 +34,9 @@ def ring_errors(outside: Outside, question: Question, tiling: Tiling, far: FarFi
     if not outside.level > 0:
         return 0.0, 0.0, 0.0
     side, valid = tiling.side, tiling.valid
-    rim = (2 * side - valid) // 2
-    windows = Windows.of(outside.image, outside.margin, outside.border, COUNT, side=2 * side, rim=rim, beside=1)
-    light, table = _world(outside, windows), _beyond(question, tiling, far)
+    (windows, light), table = outside.windows, _beyond(question, tiling, far)
+    part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
+    light = light[:, part, part]
     within = slice(side // 2, side // 2 + side)
     error = np.abs(_middle(light, table, valid) - _middle(light[:, within, within], table[:, ::2, ::2], valid))
     error /= outside.level
@@ -48,16 +46,6 @@ def ring_errors(outside: Outside, question: Question, tiling: Tiling, far: FarFi
     weight = windows.weight[:, None] * question.share
     return (sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())), quantile(sigma, weight, 0.999),
             float(sigma.max() * windows.steepest))
-
-
-def _world(outside, windows):
-    """Light of the windows, those of a dark world beyond the picture in it, float32 (n, side, side)."""
-    rows, cols = outside.image.shape
-    y, x = (border_indices(at, n, rule_of(outside.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
-    light = np.stack([outside.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(np.float32)
-    if outside.border == "zero":
-        light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
-    return light
 
 
 def _middle(light, table, valid):
@@ -75,9 +63,7 @@ def _beyond(question, tiling, far):
     of = (optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
     held = question.kept(f"held by tiles of {side} that share {tiling.overlap}", (*of, far.sigmas, far.tails),
                          lambda: _held(question, tiling, far))
-    light = question.weights * np.sqrt(np.maximum(np.diag(question.facts.spectra.differences), 0))  # of edges
-    light /= np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
-    quarter = (light.astype(np.float32) @ held.reshape(len(held), -1)).reshape(-1, side, side)
+    quarter = (question.edges.astype(np.float32) @ held.reshape(len(held), -1)).reshape(-1, side, side)
     at = np.abs(np.arange(-side, side))
     whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]  # as far as the windows see, a side away
     return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))

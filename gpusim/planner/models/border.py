@@ -16,7 +16,7 @@ from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner.border import BORDER_REACH, Outside, most_reach
 from gpusim.planner.depth import DepthPlan
 from gpusim.planner.farfield import (
-    TILES_SPLINES,
+    TILES_SPACINGS,
     FarField,
     far_field,
     has_far_field,
@@ -136,7 +136,7 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
     def in_tiles(overlap):
         found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
         reach, period, made = found.overlap, (found.side, found.side), None
-        for spacings in TILES_SPLINES:  # the fewest that are no matter
+        for spacings in TILES_SPACINGS:  # the fewest that are no matter
             field = far_field(question, tails, reach, found.side, spacings)
             made = field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field,
                                           found, question)
