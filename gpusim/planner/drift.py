@@ -12,8 +12,10 @@ square is b V b^T, and differences to b d, whose mean square is b D b^T. So S = 
 
     signal = sum over rows f of F of  E[(f x)^2],     error = sum over rows b of B of  E[(b d)^2]  +  trace(R D),
 
-where the few largest eigenvalues are nearly all of M and the rest is at most its own largest one times E[|d|^2]. The
-stage `spectral.survey` measures all three on a device, without moments and in one pass over a few rows.
+where the few largest eigenvalues are nearly all of M. With P on the rows of F, which see most of natural spectra, and
+Q = 1 - P, the root of trace(R D) is at most |R^1/2 P| that of E[|P d|^2], which F tells, and |R^1/2 Q| that of
+E[|Q d|^2] = E[|d|^2] - E[|P d|^2]. The stage `spectral.survey` measures all of them on a device, without moments and in
+one pass over a few rows.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +26,10 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.planner.fusion import Response, Spectra, row_pairs
 
-WRONG_ROWS = 8  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest for operators up to rank 5
+WRONG_ROWS, FEW = 8, 5  # of B: of 31 wavelengths the next eigenvalue is below 3e-5 of the largest up to so many planes
+ALL_ROWS = 16  # of both, that `spectral.survey` takes: operators of more planes have all of them
+SHORTEST = 1e-6  # of the longest row of F, below which one is none
+ROUNDING = 1e-6  # of squares that are summed in float32
 FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
 
 
@@ -32,17 +37,21 @@ FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
 class Watch:
     """What to measure of a content that takes a plan's input table, and what its error is by that.
 
-    flat: F, shape (up to 8, L). wrong: B, shape (up to 8, L). left: largest eigenvalue of what B leaves of M, over the
+    flat: F, shape (up to 8, L). wrong: B, shape (up to 15, L). left: largest eigenvalue of what B leaves of M, over the
     coefficients of content entries. table: projections from entries, those of `flat` first, float32 (P, entries), as
-    `spectral.survey` takes it. first: upper rows of the pairs to survey, int32 (n,). inputs: planes from spectra, which
-    the plan's table gives from entries, shape (planes, L). factor: of the error, as probes of the plan's scene told it.
-    falls: what of the square of each row of B one plane more leaves, two more ..., shape (8,) each.
+    `spectral.survey` takes it. seen: what the squares of the projections by `flat` give to |P d|^2, shape (up to 8,).
+    beside: |R^1/2 P| and |R^1/2 Q|, over the coefficients, too. first: upper rows of the pairs to survey, int32 (n,).
+    inputs: planes from spectra, which the plan's table gives from entries, shape (planes, L). factor: of the error, as
+    probes of the plan's scene told it. falls: what of the square of each row of B one plane more leaves, two more ...,
+    shape (up to 15,) each.
     """
 
     flat: np.ndarray
     wrong: np.ndarray
     left: float
     table: np.ndarray
+    seen: np.ndarray
+    beside: tuple[float, float]
     first: np.ndarray
     inputs: np.ndarray
     factor: float = 1.0
@@ -55,12 +64,18 @@ class Watch:
         table: planes from spectra, shape (planes, L). transfers: shape (C, planes, L). shape: rows and columns of the
         samples that are surveyed, by default all.
         """
-        entries = content.entry_spectra
-        flat, _ = _rows((response.flat.T * response.share) @ response.flat, content, min(FLAT_ROWS, len(response.flat)))
-        wrong, left = _rows(wrong_moments(response, table, transfers), content, WRONG_ROWS)
+        entries, signal = content.entry_spectra, (response.flat.T * response.share) @ response.flat
+        flat, _, _ = _rows(signal, content, min(FLAT_ROWS, len(response.flat)))
+        count = WRONG_ROWS if len(table) <= FEW else ALL_ROWS - len(flat)
+        wrong, left, rest = _rows(wrong_moments(response, table, transfers), content, count)
         projections = np.vstack([flat, wrong]) @ entries.T
+        lengths = np.linalg.norm(projections[: len(flat)], axis=1)
+        seen = np.where(lengths > SHORTEST * lengths.max(), 1 / np.maximum(lengths, 1e-300), 0)
+        there = seen[:, None] * projections[: len(flat)]  # at right angles to one another
+        along = rest @ there.T
+        beside = float(np.linalg.norm(along, 2)), float(np.linalg.norm(rest - along @ there, 2))
         first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
-        return cls(flat, wrong, left, projections.astype(np.float32), first, np.asarray(table))
+        return cls(flat, wrong, left, projections.astype(np.float32), seen**2, beside, first, np.asarray(table))
 
     @classmethod
     def of_no_blur(cls, response: Response, content: Content, shape, spectra: Spectra) -> tuple["Watch", float]:
@@ -78,7 +93,7 @@ class Watch:
         """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
 
         survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger, by at
-        most the root of `left` E[|d|^2] / signal, d the differences of entries; 0 without a signal. NaN where the
+        most the root of what R is given at most over the signal; 0 without a signal. NaN where the
         content has NaN: compare so that it fails. Then the same of the pair of rows where it is largest, over the
         signal of all.
         """
@@ -86,9 +101,15 @@ class Watch:
         signal = found[:, 0, :signals].sum() / len(found)
         if signal == 0:
             return 0.0, 0.0
-        squares = found[:, 1:, signals:].sum(axis=1)
-        each = squares[:, :-1].sum(axis=1) + self.left * squares[:, -1]
+        squares = found[:, 1:].sum(axis=1)
+        each = squares[:, signals:-1].sum(axis=1) + self._rest(squares)
         return self.factor * sqrt(each.mean() / signal), self.factor * sqrt(each.max() / signal)
+
+    def _rest(self, squares):
+        """What R gives at most, of pairs of rows (n, P + 1)."""
+        whole, along = squares[:, -1], squares[:, : len(self.flat)] @ self.seen
+        across = np.maximum(whole - along, ROUNDING * whole)
+        return np.fmin(self.left * whole, (self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)) ** 2)
 
     def falling(self, moments) -> tuple:
         """`falls` where operators of one plane more, two more ... have such moments M'.
@@ -118,7 +139,9 @@ def wrong_moments(response: Response, table, transfers) -> np.ndarray:
 
 
 def _rows(moments, content, count):
-    """Rows B (count, L) of most of positive moments M = H^T H, and the largest eigenvalue that is left out.
+    """Rows B (count, L) of most of positive moments M = H^T H, the largest eigenvalue that is left out, and the rest.
+
+    The rest is of shape (L, entries), of coefficients.
 
     The rows are those of most of what entries give, the columns of H E^T, E their spectra. What is left out of them,
     H E^T - Q Q^T H E^T with Q the largest eigenvectors of their products, has a largest eigenvalue over all mixes of
@@ -131,7 +154,7 @@ def _rows(moments, content, count):
     eigenvalues, vectors = np.linalg.eigh(given @ given.T)
     largest = vectors[:, ::-1][:, :count]
     left = max(float(eigenvalues[::-1][count]), 0.0) if count < len(eigenvalues) else 0.0
+    rest = given - largest @ (largest.T @ given)
     if content.labels is not None:
-        rest = given - largest @ (largest.T @ given)
         left = min(left, 2 * float((rest**2).sum(0).max()))
-    return largest.T @ half, left
+    return largest.T @ half, left, rest

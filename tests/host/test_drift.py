@@ -133,7 +133,8 @@ def test_projections_give_the_error_of_all_moments(response):
             without = replace(watch, left=0.0).errors(numbers)[0]
             assert without**2 + rest == pytest.approx(exact, rel=1e-9, abs=rounding)
             assert -rounding <= rest <= allowed + rounding
-            assert watch.errors(numbers)[0] ** 2 == pytest.approx(exact - rest + allowed, rel=1e-9, abs=rounding)
+            told = watch.errors(numbers)[0] ** 2
+            assert exact * (1 - 1e-9) - rounding <= told <= (exact - rest + allowed) * (1 + 1e-9) + rounding
 
 
 def test_the_rows_are_of_the_largest_eigenvalues(response):
@@ -141,9 +142,10 @@ def test_the_rows_are_of_the_largest_eigenvalues(response):
     for table, transfers in operators(response):
         watch = Watch.of(response, table, transfers, content)
         eigenvalues = np.linalg.eigvalsh(moments_by_hand(response, table, transfers))[::-1]
-        assert watch.wrong.shape == (8, 31) and watch.flat.shape == (3, 31)
-        np.testing.assert_allclose((watch.wrong**2).sum(1), eigenvalues[:8], rtol=1e-6)
-        assert watch.left == pytest.approx(eigenvalues[8], rel=1e-6)
+        count = 8 if len(table) <= 5 else 13
+        assert watch.wrong.shape == (count, 31) and watch.flat.shape == (3, 31)
+        np.testing.assert_allclose((watch.wrong**2).sum(1), eigenvalues[:count], rtol=1e-6)
+        assert watch.left == pytest.approx(eigenvalues[count], rel=1e-6)
 
 
 def test_a_basis_of_few_coefficients_leaves_nothing_out(response):
@@ -154,12 +156,17 @@ def test_a_basis_of_few_coefficients_leaves_nothing_out(response):
 
 
 def test_what_is_left_out_costs_little(response):
-    """Below 1 % of the error of likely spectra at ranks 3 to 5, so that a watched plan stays as long as it could."""
-    content = natural((96, 64)).content
-    for table, transfers in list(operators(response))[:3]:
+    """Below 1 % of the error of likely spectra at ranks 3 to 5, so that a watched plan stays as long as it could.
+
+    At higher ones it is the bound of the rest that costs.
+    """
+    content, operator = natural((96, 64)).content, joint_operator(response, library())
+    for rank, most in ((3, 1.01), (4, 1.01), (5, 1.01), (6, 1.05), (7, 1.2)):
+        table, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
         watch = Watch.of(response, table, transfers, content)
-        exact = response.error(table, transfers, Spectra.of(content))
-        assert exact <= watch.errors(surveyed(watch, content))[0] <= 1.01 * exact
+        exact, told = response.error(table, transfers, Spectra.of(content)), watch.errors(surveyed(watch, content))[0]
+        print(f"rank {rank}: {exact:.2e}, told {told / exact:.3f} times that")
+        assert exact <= told <= most * exact
 
 
 def test_unlikely_spectra_are_seen(response):
