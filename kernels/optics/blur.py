@@ -93,12 +93,12 @@ def cases():
 
 
 def bench(rows, cols):
-    """31 bands to three channels, 64 pixels of border."""
+    """Four planes to three channels, 64 pixels of border."""
     random = np.random.default_rng(3)
     period = (fft_length(rows + 128), fft_length(cols + 128))
-    return {"planes": random.random((31, rows, cols), np.float32),
-            "tables": random.random((1, 31, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
-            "mix": random.random((3, 31), np.float32), "border": "edge", "period": period}
+    return {"planes": random.random((4, rows, cols), np.float32),
+            "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
+            "mix": random.random((3, 4), np.float32), "border": "edge", "period": period}
 
 
 def operations(planes, tables, mix, border, period):
