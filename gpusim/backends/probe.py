@@ -201,6 +201,12 @@ def identity(device) -> dict:
             "gpu": False, "fp64": True, "fp16": False}
 
 
+def made_by(device) -> str:
+    """What a result's bits depend on beside what it is of: hardware and driver, whichever of a host's devices it is."""
+    told = identity(device)
+    return f"{device.kind}: {told['device']}, {told['driver']}, {told['version']}"
+
+
 def copy_gbps(device) -> float:
     """Measured bandwidth of a copy kernel [GB/s], bytes read plus bytes written; best of ten.
 

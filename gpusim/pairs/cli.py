@@ -44,6 +44,7 @@ def pairs(arguments) -> int:
     from tqdm import tqdm
 
     from gpusim import __version__
+    from gpusim.backends.probe import made_by
     from gpusim.data.cameras import open_camera
     from gpusim.data.lights import illuminant
     from gpusim.pairs.pairs import Pairs, gain_of
@@ -84,7 +85,7 @@ def pairs(arguments) -> int:
         "contents of files": [file_digest(path) for path in photographs],
         "vary": {name: list(values) for name, values in varied.items()},
         "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
-        "device": f"{simulator.device.kind}: {simulator.device.name}"}
+        "device": made_by(simulator.device)}
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))

@@ -215,6 +215,7 @@ def _target(path, arguments, simulator, scenes, segments):
     import dataclasses
 
     from gpusim import __version__
+    from gpusim.backends.probe import made_by
     from gpusim.io.atomic import check_output
     from gpusim.io.frames import FORMATS, check_format
     from gpusim.video.codecs import CONTAINERS, Encoder, codec_of
@@ -228,7 +229,7 @@ def _target(path, arguments, simulator, scenes, segments):
             "contents of files": [file_digest(name) for name in (scenes.names if len(arguments.scene) > 1 or Path(
                 arguments.scene[0]).is_dir() else arguments.scene)], "frames": scenes.count,
             "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
-            "device": f"{simulator.device.kind}: {simulator.device.name}"}
+            "device": made_by(simulator.device)}
     if suffix in CONTAINERS:
         codec, sensor = codec_of(path, arguments.codec), simulator.readout.output
         if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):

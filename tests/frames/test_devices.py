@@ -104,6 +104,13 @@ def test_a_record_that_cannot_be_read_or_written_is_done_without(probed, monkeyp
     assert probe.devices() == [GOOD, SLOW]
 
 
+def test_devices_of_one_make_and_driver_make_the_same_whatever_their_number():
+    first = open_device("opencl:pocl")
+    assert probe.made_by(first) == probe.made_by(OpenCLDevice(first.cl_device, "opencl:7"))
+    assert first.cl_device.name.strip() in probe.made_by(first) and "opencl:" not in probe.made_by(first)[7:]
+    assert len({probe.made_by(open_device(name)) for name in ("opencl:pocl", "warp:cpu", "numpy")}) == 3
+
+
 def test_a_broken_device_is_kept_for_a_while(probed, monkeypatch):
     """It costs one attempt an hour, not one every time; a driver that is changed is tried at once."""
     broken = {**GOOD, "name": "opencl:0", "error": "no good"}
