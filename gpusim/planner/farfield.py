@@ -16,6 +16,7 @@ from gpusim.optics.ladder import RATIO, energies, gaussians, tail, variance
 from gpusim.optics.splines import SPACINGS
 from gpusim.planner.border import FREQUENCIES, Outside, border_indices, rule_of
 from gpusim.planner.question import Question
+from gpusim.planner.waves import waves
 
 LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
 RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part between the rims), and in radii of the rays
@@ -25,13 +26,15 @@ RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part betwee
 # lens meets the grid's diagonal, at q = .71, pixels with gaps see up to five times as much
 SEAM, SIDE = 3.1e-4, 112
 TILES_RATIO = 1.8  # of neighbouring Gaussians beside tiles, fewer than elsewhere
-TILES_SPACINGS = 1.0, 1.2, 1.6  # of splines beside tiles in a Gaussian, from the coarsest on
+TILES_SPACINGS = 1.0, 1.2, 1.6, SPACINGS  # of splines beside tiles in a Gaussian, from the coarsest on
 WIDE = 2.0  # q of a pixel from which on it grows faster, as q^3.5, of a clear pupil in focus
 DARK_SEAM = 0.15  # of it where the world is dark, and the step is the frame's own, a reach away from the seam
 HOLE = 60.0  # times the square of the obscuration is more of it: rims nearer to one another ring farther
 IN_FOCUS = 2.0  # radius of the rays in q, up to which waves of all wavelengths come from one place
 FINER, LEAST = 3.0, 0.3  # q of a pixel of samples below which it averages waves away; what it leaves
 DISTANCES = 64  # from the seam, at which waves are added up
+POINTS, PLACES = 32, 128  # of light in a strip, and where they are seen
+FARTHEST, FINE, MOST_RADII = 8, 12, 8192  # reaches of waves that count; radii in a wave, and all of them at most
 SLOW = tuple(np.geomspace(1 / 4096, 1 / 128, 32))  # frequencies of light that changes slowly [1/sample]
 SPLINES = 1e-7  # relative RMS of the far field's own sums
 
@@ -109,7 +112,31 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     waves = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
     seam = SEAM * q**2.5 / away**2 * _step(outside, period) * waves / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
-    return sqrt(seam**2 + powers**2 + SPLINES**2) + outside.missing / outside.level
+    images = _image_error(outside, question, reach)
+    return sqrt(seam**2 + powers**2 + images**2 + SPLINES**2) + outside.missing / outside.level
+
+
+def _image_error(outside, question, reach):
+    """Relative root mean square error from the waves of points of light that are seen where the transform repeats them.
+
+    A point so deep in the frame, from one of its sides, has an image as deep beyond the opposite one, 2 reach farther:
+    those of the brightest in a strip along each side, at some places in a strip along the opposite one.
+    """
+    depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
+    random = np.random.default_rng(depth)
+    r = np.arange(2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII))
+    of = (question.optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
+    radial = question.kept("waves along a line", (*of, reach), lambda: waves(question, r, 0.0, 1.0))
+    kernels = question.edges @ radial
+    for lines in (image, image[::-1], image.T, image.T[::-1]):
+        strip = lines[:depth]
+        at = np.argpartition(strip, -min(POINTS, strip.size), axis=None)[-POINTS:]
+        (deep, along), light = np.unravel_index(at, strip.shape), np.maximum(strip.flat[at] - outside.level, 0)
+        rows, cols = random.uniform(0, len(strip), PLACES), random.uniform(0, strip.shape[1], PLACES)
+        far = np.hypot(2 * reach + np.add.outer(rows, deep), np.subtract.outer(cols, along))
+        seen = np.array([np.interp(far, r, kernel, right=0.0) @ light for kernel in kernels])
+        total += float(question.share @ np.mean(seen**2, axis=1)) * strip.size / image.size
+    return sqrt(total) / outside.level
 
 
 def spline_error(far: FarField, outside: Outside, question: Question) -> float:

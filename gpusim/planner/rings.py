@@ -1,28 +1,22 @@
 """Rings of a lens beyond the tiles that blur a frame: what these add on their wrong side, computed in some of them.
 
 A transform repeats a tile: light that is `overlap` samples or more from a pixel of its result is seen where the tile
-repeats itself, not where it is. A lens with rims rho in its pupil, where its wavefront is W waves, spreads so far,
-beside its tail, the waves of
-
-    2 q / (pi^3 r^3 (1 - e^2)) | sum of a cos(pi rho r / q - 3 pi / 4) exp(2 pi i W) |^2,
-
-a = 1 of the outer rim and -sqrt(e) of the inner one, e the obscuration (Airy's pattern and an annulus's by the
-asymptotic form of J1). What the tail has more than the Gaussians that stand for it is seen there, too. Windows of the
-picture twice as wide as a tile, blurred by both, tell what that adds.
+repeats itself, not where it is. A lens spreads so far, beside its tail, waves (`gpusim.planner.waves`). What the tail
+has more than the Gaussians that stand for it is seen there, too. Windows of the picture twice as wide as a tile,
+blurred by both, tell what that adds.
 """
 
-from itertools import combinations
 from math import pi, sqrt
 
 import numpy as np
 import scipy
-from numpy.polynomial.polynomial import polyval2d
 
 from gpusim.optics.ladder import POWERS, energies
 from gpusim.optics.tiling import Tiling
 from gpusim.planner.border import WINDOW, Outside
 from gpusim.planner.farfield import FarField
 from gpusim.planner.question import Question
+from gpusim.planner.waves import waves
 from gpusim.planner.windows import quantile
 
 
@@ -71,42 +65,11 @@ def _beyond(question, tiling, far):
 
 def _held(question, tiling, far):
     """What a tile holds of a point at its places below and right of it, by wavelength: float32 (L, side, side)."""
-    r, rings = rings_of(question, tiling.side)
+    y, x = np.indices((tiling.side, tiling.side), float)
+    r = np.maximum(np.hypot(y, x), 1)
+    rings = waves(question, r, y / r, x / r)
     widths, outer = far.sigmas[:-1, None], np.maximum(*np.indices(r.shape)) >= tiling.overlap
     held = np.zeros(rings.shape, np.float32)
     held[:, outer] = rings[:, outer] + far.tails @ r[outer] ** -np.array(POWERS)[:, None] - (
         energies(far.sigmas, far.tails)[:, :-1] @ (np.exp(-((r[outer] / widths) ** 2) / 2) / (2 * pi * widths**2)))
     return held
-
-
-def rings_of(question, side):
-    """Distances of (side, side) places below and right of a point, and its waves there, (L, side, side)."""
-    optics = question.optics
-    hole = optics.pupil.obscuration
-    rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
-    y, x = np.indices((side, side), float)
-    r = np.maximum(np.hypot(y, x), 1)
-    y, x = y / r, x / r
-    found = np.zeros((len(question.q), side, side))
-    for own, q, wave in zip(found, question.q, optics.waves(question.scene.wavelengths), strict=True):
-        for rho, a in rims:
-            own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * _seen(question, rho / q, y, x)
-        for (one, a), (other, b) in combinations(rims, 2):
-            path = polyval2d(one, 0.0, wave) - polyval2d(other, 0.0, wave)
-            less, more = (one - other) / (2 * q), (one + other) / (2 * q)
-            own += a * b * np.cos(2 * pi * path) * (np.cos(2 * pi * less * r) * _seen(question, less, y, x)
-                                                    - np.sin(2 * pi * more * r) * _seen(question, more, y, x))
-        own *= 2 * q / (pi**3 * (1 - hole**2)) / r**3
-    return r, found
-
-
-def _seen(question, frequency, down, across):
-    """What pixels leave of a wave of this frequency [1/sample] in this direction."""
-    optics, left = question.optics, 1.0
-    for along, cell, side, spots in zip((down, across), question.cell, question.aperture, optics.birefringence,
-                                        strict=True):
-        wave = frequency * along
-        left = left * np.sinc(cell * wave) * np.cos(pi * spots / question.pitch * wave)
-        if question.ratio > 1:  # samples, which show it as a slower one, are integrated over pixels
-            left = left * np.sinc(side * question.ratio * (wave - np.rint(wave)))
-    return left * np.exp(-2 * (pi * optics.diffuser / question.pitch * frequency) ** 2)

@@ -11,8 +11,8 @@ from gpusim.optics.lens import open_lens
 from gpusim.planner.facts import Facts
 from gpusim.planner.farfield import tails_of
 from gpusim.planner.question import Question
-from gpusim.planner.rings import rings_of
 from gpusim.planner.tables import made_anew
+from gpusim.planner.waves import waves
 
 SIDE, SIZE, NEAREST = 32, 65, 12  # [sample]
 
@@ -29,7 +29,9 @@ def test_rings_are_those_of_the_pupil(q, hole, w040):
     scene = gs.chart("deadleaves", size=(64, 64), wavelengths=np.array([550.0, 560.0]))
     question = Question.of(scene, replace(camera, optics=optics, sensor=sensor), Facts.of(scene), None,
                            guaranteed=False, reach=None, period=None, kept=made_anew)
-    r, rings = rings_of(question, SIDE)
+    y, x = np.indices((SIDE, SIDE), float)
+    r = np.maximum(np.hypot(y, x), 1)
+    rings = waves(question, r, y / r, x / r)
     mean = sum(part / r**power for part, power in zip(tails_of(question)[0], (3, 5, 7), strict=True))
     spread = open_lens(optics, question.pitch, (1.0, 1.0), scene.shape).kernels([550.0], (0.0, 0.0), SIZE)[0]
     true = spread[SIZE // 2 :, SIZE // 2 :][:SIDE, :SIDE]

@@ -33,7 +33,7 @@ from gpusim.planner.rings import ring_errors
 FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
-SMALL = 0.1  # of a tolerance
+SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
