@@ -192,10 +192,21 @@ class Outside:
                                   minlength=n) for n, length in zip(self.image.shape, period, strict=True))
         return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
 
+    def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
+        """Windows of the frame, and their light, that of a dark world in it, float32 (n, WINDOW, WINDOW).
+
+        inner: samples of a side of the part that stands for others.
+        """
+        if inner not in self._windows:
+            self._windows[inner] = self._made(inner)
+        return self._windows[inner]
+
     @cached_property
-    def windows(self) -> tuple[Windows, np.ndarray]:
-        """Windows of the frame, and their light, that of a dark world in it, float32 (n, WINDOW, WINDOW)."""
-        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, side=WINDOW, rim=(WINDOW - INNER) // 2,
+    def _windows(self) -> dict[int, tuple[Windows, np.ndarray]]:
+        return {}
+
+    def _made(self, inner):
+        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, side=WINDOW, rim=(WINDOW - inner) // 2,
                              beside=1)
         rows, cols = self.image.shape
         y, x = (border_indices(at, n, rule_of(self.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
@@ -207,7 +218,7 @@ class Outside:
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, float]:
         """Mean squares of the frame's light at FREQUENCIES along both axes, and of what is of longer waves."""
-        windows, light = self.windows
+        windows, light = self.windows()
         fade = scipy.signal.windows.hann(WINDOW, sym=False).astype(np.float32)
         fade = np.multiply.outer(fade, fade)
         light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade

@@ -20,6 +20,7 @@ from gpusim.planner.waves import waves
 
 LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
 RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part between the rims), and in radii of the rays
+WAVES = 2.0  # the least overlap of tiles in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
@@ -95,7 +96,8 @@ def far_field(question: Question, tails, reach: float, side: int | None = None,
     rings = RINGS * question.mean_q
     if optics.pupil.obscuration:
         rings *= 2 / (1 - optics.pupil.obscuration)
-    if reach < RADII * question.spread or (side is None and reach < max(rings, LEAST_REACH)):
+    least = max(rings, LEAST_REACH) if side is None else WAVES * float(question.q.max())
+    if reach < max(RADII * question.spread, least):
         return None
     sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO)
     return FarField(sigmas, tails, rule_of(question.scene.border), spacings)

@@ -28,7 +28,7 @@ def ring_errors(outside: Outside, question: Question, tiling: Tiling, far: FarFi
     if not outside.level > 0:
         return 0.0, 0.0, 0.0
     side, valid = tiling.side, tiling.valid
-    (windows, light), table = outside.windows, _beyond(question, tiling, far)
+    (windows, light), table = outside.windows(valid), _beyond(question, tiling, far)
     part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
     light = light[:, part, part]
     within = slice(side // 2, side // 2 + side)
