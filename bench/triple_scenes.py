@@ -1,8 +1,8 @@
 """Random questions to the planner: a scene, a camera and a tolerance for every seed, the same on every machine.
 
 The seeds are two halves, fixed before anything was tuned to them: what goes wrong is looked for in `DEVELOPMENT`, and
-`HELD_OUT` is looked at for the verdict alone. Seeds 1000 .. 1159 and as many from 2000, 3000 and so
-on, up to 8000, were held out until some of them had been looked at. Scenes are small enough for the float64 truth.
+`HELD_OUT` is looked at for the verdict alone. Seeds 1000 .. 1159 and as many from 2000, 3000 and so on, up to 8000,
+were held out until some of them had been looked at. Scenes are small enough for the float64 truth.
 """
 
 from dataclasses import dataclass, replace

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from scipy.special import j1
 
-from gpusim.planner.windows import Windows
+from gpusim.planner.windows import MOST_STEPS, Windows
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 # Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
@@ -226,8 +226,9 @@ class Outside:
         power[:, 1:-1] *= 2  # for those of the other half
         power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
         power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
-        variance = self.level**2 - float(_inside(self.image, self.margin).mean()) ** 2
-        return power, max(variance - float(power.sum()), 0.0)
+        inside = _inside(self.image, self.margin)
+        some = inside[:: max(1, round(inside.size / MOST_STEPS))]  # `level` is of what a lens leaves of it
+        return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
 
     @cached_property
     def darkest(self) -> tuple[float, float]:

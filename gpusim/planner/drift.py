@@ -92,8 +92,8 @@ class Watch:
     def errors(self, survey) -> tuple[float, float]:
         """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
 
-        survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger, by at
-        most the root of what R is given at most over the signal; 0 without a signal. NaN where the
+        survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger: with
+        the most that R can give; 0 without a signal. NaN where the
         content has NaN: compare so that it fails. Then the same of the pair of rows where it is largest, over the
         signal of all.
         """

@@ -20,7 +20,7 @@ from gpusim.planner.waves import waves
 
 LEAST_SIDE, LEAST_REACH = 8, 16  # [sample] of a frame along an axis, and of what is blurred around it
 RINGS, RADII = 4.0, 4.0  # the least reach in q (twice that over the part between the rims), and in radii of the rays
-WAVES = 2.0  # the least overlap of tiles in q: nearer a point its waves are not yet what they are said to be
+LEAST_OVERLAP = 2.0  # of tiles, in q: nearer a point its waves are not yet what they are said to be
 # Relative RMS over a frame of SIDE samples a side from a step of 1 at the seam, of one wavelength, in q^2.5 / reach^2.
 # This, and what changes it, was measured on edges, leaves and blocks of 60 to 130 samples, q .5 to 6, reach 16 to 96,
 # fill .4 and 1, 1 to 3 samples a pixel, obscurations 0, .3 and .5: within a factor of 2 of most. Where the cut-off of a
@@ -96,7 +96,7 @@ def far_field(question: Question, tails, reach: float, side: int | None = None,
     rings = RINGS * question.mean_q
     if optics.pupil.obscuration:
         rings *= 2 / (1 - optics.pupil.obscuration)
-    least = max(rings, LEAST_REACH) if side is None else WAVES * float(question.q.max())
+    least = max(rings, LEAST_REACH) if side is None else LEAST_OVERLAP * float(question.q.max())
     if reach < max(RADII * question.spread, least):
         return None
     sigmas = gaussians(reach, max(*question.size, side or 0) + 2 * reach, RATIO if side is None else TILES_RATIO)
@@ -111,8 +111,8 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     q, away, cell = question.mean_q, reach + outside.margin, question.cell
     hole = question.optics.pupil.obscuration  # what lies between its rims rings at frequencies lower by half that
     finer = 1 - (1 - min(max(q / question.ratio / FINER, LEAST), 1)) * min(question.ratio - 1, 1)
-    waves = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
-    seam = SEAM * q**2.5 / away**2 * _step(outside, period) * waves / sqrt(cell[0] * cell[1])
+    left = finer * _coherence(question, away, 1) + HOLE * hole**2 * _coherence(question, away, (1 - hole) / 2)
+    seam = SEAM * q**2.5 / away**2 * _step(outside, period) * left / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     images = _image_error(outside, question, reach)
     return sqrt(seam**2 + powers**2 + images**2 + SPLINES**2) + outside.missing / outside.level
@@ -125,7 +125,7 @@ def _image_error(outside, question, reach):
     those of the brightest in a strip along each side, at some places in a strip along the opposite one.
     """
     depth, image, total = max(int(2 * reach), 1), outside.image, 0.0
-    random = np.random.default_rng(depth)
+    random = np.random.default_rng(depth)  # the same places in every scene
     r = np.arange(2 * reach, FARTHEST * reach, max(float(question.q.min()) / FINE, 6 * reach / MOST_RADII))
     of = (question.optics, question.scene.wavelengths, question.q, question.cell, question.aperture, question.ratio)
     radial = question.kept("waves along a line", (*of, reach), lambda: waves(question, r, 0.0, 1.0))

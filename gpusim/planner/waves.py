@@ -18,7 +18,10 @@ from gpusim.planner.question import Question
 
 
 def waves(question: Question, r, down, across) -> np.ndarray:
-    """Waves of a point at the distances r [sample] in the directions (down, across), one shape: (L, *shape)."""
+    """Energy per square sample of a point's waves, shape (L, *shape).
+
+    r: distances [sample], of any shape. down, across: the direction's components, of that shape or one for all.
+    """
     optics = question.optics
     hole = optics.pupil.obscuration
     rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.fft import dctn
 from scipy.ndimage import gaussian_filter
 
 from gpusim.kernels.optics.far import far
@@ -58,10 +59,26 @@ class Question:
     size, share, edges = SHAPE, np.ones(1), np.ones((1, 1))
 
 
+PICTURES = ["noise", "natural", "soft", "ramp", "edge"]
+
+
 @pytest.mark.parametrize("spacings", [1.0, 1.2, 1.6])
-@pytest.mark.parametrize("name", ["noise", "natural", "soft", "ramp", "edge"])
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_errs_as_its_cosines_do(name, spacings):
+    """The mean squares of its half waves, each with its own error: a mirrored world's are at right angles."""
+    light = pictures()[name]
+    power = dctn(light, norm="ortho") ** 2 / light.size
+    at = [np.arange(n) / 2 / n for n in SHAPE]
+    expected = float(np.sqrt((power * misses(SHAPE, SIGMAS, ENERGIES[None], spacings, *at)[0]).sum()))
+    found = float(np.sqrt(np.mean(error_of(light, spacings) ** 2)))
+    print(f"{name}, {spacings}: {found:.2e}, predicted {expected:.2e}")
+    assert expected / 1.5 - FLOAT < found < 1.5 * expected + FLOAT
+
+
+@pytest.mark.parametrize("spacings", [1.0, 1.2, 1.6])
+@pytest.mark.parametrize("name", PICTURES)
 def test_the_error_of_pictures_is_predicted(name, spacings, monkeypatch):
-    """Within 2.5, the factor that the account promises; slow light is taken for that of the largest error."""
+    """Within 2.5, the factor that the account promises; a ramp is taken for the wave of the largest error."""
     monkeypatch.setattr("gpusim.planner.farfield.SPLINES", 0.0)
     light = pictures()[name].astype(np.float32)
     level = float(np.sqrt(np.mean(np.square(light, dtype=float))))
@@ -70,4 +87,5 @@ def test_the_error_of_pictures_is_predicted(name, spacings, monkeypatch):
     field = FarField(SIGMAS, np.array([[0.03, 0.01, 0.02]]), "reflect", spacings)
     predicted = spline_error(field, outside, Question())
     print(f"{name}, {spacings}: {found:.2e}, predicted {predicted:.2e}")
-    assert predicted / (5 if name == "ramp" else 2.5) < found + FLOAT and found < 2.5 * predicted + FLOAT
+    assert found < 2.5 * predicted + FLOAT
+    assert predicted < 2.5 * found + FLOAT or name == "ramp"
