@@ -137,7 +137,10 @@ class Question:
     @cached_property
     def edges(self) -> np.ndarray:
         """Part that each wavelength has of the light of edges in each channel, shape (C, L)."""
-        light = self.weights * np.sqrt(np.maximum(np.diag(self.facts.spectra.differences), 0))
+        steps, spectra = np.diag(self.facts.spectra.differences), np.diag(self.facts.spectra.values)
+        if self.scene.border == "zero":  # all around the frame is an edge to the dark
+            steps = steps + spectra * sum(2 / n for n in self.size)
+        light = self.weights * np.sqrt(np.maximum(steps, 0))
         return light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
 
     @property

@@ -39,11 +39,7 @@ class Windows:
         if beside:
             grid = energy.reshape([len(first) for first in starts])
             energy = scipy.ndimage.uniform_filter(grid, 2 * beside + 1, mode="constant").ravel()
-        chance = np.full(len(energy), 1 / len(energy))
-        if energy.sum() > 0:
-            chance = EDGES * energy / energy.sum() + (1 - EDGES) * chance
-        drawn, times = _drawn(chance, count)
-        weight = times / chance[drawn]
+        drawn, weight = _drawn(energy, count)
         places = [(y, x) for y in starts[0] for x in starts[1]]
         first = np.array([places[k] for k in drawn]) + margin - rim
         seen = largest[drawn].max()
@@ -86,12 +82,24 @@ def _starts(n, inner):
     return np.unique(np.minimum(np.arange(0, max(n, 1), inner), max(n - inner, 0)))
 
 
-def _drawn(chance, count):
-    """Which are drawn and how often, one after each `count`-th part of all chances; each one where they are few."""
-    if len(chance) <= count:
-        return np.arange(len(chance)), count * chance
-    places = (np.arange(count) + 0.5) / count
-    return np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), places), return_counts=True)
+def _drawn(energy, count):
+    """Which are drawn, each once, and what they stand for; all of them where they are few.
+
+    One after each `count`-th part of all chances. What would be drawn more than once is there for certain, and the
+    others share the other draws by their own energy: a few points of light do not hide those that are darker.
+    """
+    if len(energy) <= count:
+        return np.arange(len(energy)), np.ones(len(energy))
+    certain = np.zeros(len(energy), bool)
+    while True:
+        others = np.where(certain, 0.0, energy)
+        chance = (1 - EDGES) / np.count_nonzero(~certain) + EDGES * others / max(others.sum(), 1e-300)
+        expected = np.where(certain, 1.0, chance / chance[~certain].sum() * (count - np.count_nonzero(certain)))
+        if (expected <= 1).all():
+            break
+        certain |= expected > 1
+    drawn = np.searchsorted(np.cumsum(expected), np.arange(count) + 0.5)
+    return drawn, 1 / expected[drawn]
 
 
 def quantile(values, weight, part):

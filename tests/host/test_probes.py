@@ -14,7 +14,7 @@ from gpusim.planner import probes
 from gpusim.planner.facts import Facts, OnHost
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE, Probes
-from gpusim.planner.windows import Windows
+from gpusim.planner.windows import Windows, _drawn
 
 WAVELENGTHS = np.linspace(400, 700, 31)
 RANDOM = np.random.default_rng(3)
@@ -117,3 +117,35 @@ def test_the_figures_of_an_error():
     assert found.max_sigma == pytest.approx(1.25 * sigma.max(), rel=1e-5)
     none = replace(made, level=0.0).bound(scipy.fft.rfft2(wrong))
     assert (none.rms, none.p999_sigma, none.max_sigma) == (0, 0, 0)
+
+
+def test_points_of_light_are_all_looked_at():
+    """However much brighter some are: each of them is in a window that stands for itself alone."""
+    light = np.ones((400, 600), np.float32)
+    points = {(30, 50): 1e4, (110, 333): 3e3, (210, 90): 3e2, (290, 490): 1e2, (333, 210): 50.0}
+    for place, own in points.items():
+        light[place] = own
+    found = Windows.of(light, 0, "edge", 12, SIDE, RIM)
+    assert len(found.rows) == 12
+    one = INNER**2 / light.size
+    for y, x in points:
+        seen = [weight for rows, cols, weight in zip(found.rows, found.cols, found.weight, strict=True)
+                if y in rows[RIM:-RIM] and x in cols[RIM:-RIM]]
+        assert min(seen) == pytest.approx(one, rel=0.2)
+
+
+def test_windows_stand_for_all_others():
+    """Means over many orders are those of all windows, whatever the values (Horvitz and Thompson).
+
+    To a draw of the twelve: the first place is half a draw from the start in every order, not anywhere.
+    """
+    random, n = np.random.default_rng(7), 40
+    energy, value = random.random(n) ** 4, random.random(n)
+    energy[:2] += 20  # certain
+    sums = []
+    for _ in range(2000):
+        order = random.permutation(n)
+        drawn, weight = _drawn(energy[order], 12)
+        assert len(set(drawn)) == 12
+        sums.append(weight @ value[order][drawn])
+    assert np.mean(sums) == pytest.approx(value.sum(), rel=1 / 12)

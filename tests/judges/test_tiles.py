@@ -18,12 +18,12 @@ from gpusim.planner.models import border as model
 MUST, BAND = 5e-5, 2.5
 
 
-def seen(monkeypatch, scene, lens, overlap, device="numpy"):
+def seen(monkeypatch, scene, lens, overlap, device="numpy", tolerance=1e-6):
     """Mean electrons of a second, and the plan, by tiles of this overlap and every wavelength."""
     monkeypatch.setattr(model, "OVERLAPS", (overlap,))
     monkeypatch.setattr(planner, "chosen", lambda found, tolerance: max(
         (option for option in found if option.around.tiling), key=lambda option: option.way.count))
-    simulator = gs.Simulator(lens, device=device, tolerance=1e-6)
+    simulator = gs.Simulator(lens, device=device, tolerance=tolerance)
     exposure = simulator.expose(scene, 1.0)
     assert exposure.plan.tiling.overlap >= overlap and "optics.tiles" in exposure.plan.models
     return simulator.device.numpy(exposure.mean), exposure.plan
@@ -70,6 +70,16 @@ def test_devices_see_the_same_tiles(monkeypatch, device, samples):
     lens = camera(0.7)
     found = [seen(monkeypatch, scene, lens, 8, name)[0] for name in (device, "numpy")]
     assert relative(found[0] - found[1], found[1]) < 3e-6
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 3e-5])
+def test_a_lit_wall_in_the_dark_has_edges_all_around(monkeypatch, tolerance):
+    """What splines err of them is predicted from the wall's own light: no two samples of it differ."""
+    scene, lens = scene_of(np.ones((2, 150, 100)), "zero"), camera(0.9)
+    (mean, plan), (true, _) = (seen(monkeypatch, scene, lens, 8, name, tolerance) for name in ("opencl:pocl", "numpy"))
+    error, predicted = relative(mean - true, true), plan.account.bounds["border"].rms
+    print(f"{tolerance:g}: {error:.1e}, predicted {predicted:.1e}")
+    assert predicted / BAND < error < BAND * predicted
 
 
 def test_lights_far_brighter_than_the_rest_stay_in_their_tile():
