@@ -6,6 +6,7 @@ and no cubic reaches across a ray on which O has an edge: the directions of the 
 cut-off.
 """
 
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
@@ -43,12 +44,21 @@ def polar_table(outline: Pupil, waves, error=None):
     of each ray. O at the opposite frequency is the conjugate. Rays and nodes are so many that cubics through them err
     by less than `error` each, CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
-    error = error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR)
     range_, scaled, to_bands = scales(waves)
+    table, first, sectors = _rays(outline, scaled.tobytes(), scaled.shape, range_,
+                                  error or (POLYGON_ERROR if outline.blades else CUBIC_ERROR))
+    require_memory("transfer tables", 32 * len(waves) * table[0].size)
+    return np.tensordot(to_bands, table, 1), first, sectors
+
+
+@lru_cache(maxsize=2)  # a plan asks for those of few wavelengths, and a frame for all: the same wavefronts make them
+def _rays(outline, values, shape, range_, error):
+    """The same of the wavefronts that make those of all wavelengths, see `scales`."""
+    scaled = np.frombuffer(values).reshape(shape)
     sides, _ = cutoff_polygon(outline)
     sectors = max(1, 2 * outline.blades)
     # of one sector, rays may be few where they are all the same
-    per_sector = 8 if symmetric(outline, waves) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
+    per_sector = 8 if symmetric(outline, scaled) else max(8, ceil(48 * (1 + range_ / 2) / sectors))
     length = 192 + ceil(48 * range_)
     first = outline.rotation + np.pi / outline.blades if sides else 0.0
     series = None if sides else expansion(outline, scaled)
@@ -56,7 +66,7 @@ def polar_table(outline: Pupil, waves, error=None):
     # one wavefront finds how many nodes it takes, all of them are held against it
     for wanted in ([strongest], slice(None))[len(scaled) == 1 :]:
         while True:
-            require_memory("transfer tables", 32 * (len(scaled) + len(waves)) * sectors * per_sector * length)
+            require_memory("transfer tables", 32 * len(scaled) * sectors * per_sector * length)
             turn = np.linspace(0, np.pi, sectors * per_sector + 1)
             s = 1 - np.linspace(1, 0, length) ** 2
             table = (series(s, turn[:-1], wanted) if series
@@ -70,7 +80,7 @@ def polar_table(outline: Pupil, waves, error=None):
                 break
             order = 2.5 if sides else 4
             length, per_sector = _finer(length, along, error, order), _finer(per_sector, across, error, order)
-    return np.tensordot(to_bands, table, 1), first, sectors
+    return table, first, sectors
 
 
 def _polygon_rays(outline, waves, s, first, turn, per_sector):

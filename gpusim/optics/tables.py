@@ -3,8 +3,10 @@
 Integrated at every frequency that folds. For any pupil and whole frames that would take hours. Beyond FEW frequencies,
 splines stand for the integral: through integrals at nodes of its own where pupil and wavefront are the same at every
 angle, else through a table of the rays that errs by TABLE at most. The integral itself adds nodes until it no longer
-changes.
+changes. For the planner they go through the nodes along the rays that devices use, of all wavelengths at once.
 """
+
+from functools import partial
 
 import numpy as np
 import scipy
@@ -13,7 +15,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
 from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
 from gpusim.optics.psf import psf_tables
-from gpusim.optics.rays import cutoff_polygon, polar_table
+from gpusim.optics.rays import cutoff_polygon, polar_table, radial_table
 from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
@@ -36,8 +38,10 @@ def transfer_tables(optics: Optics, pitch, q, aperture, rows, cols, displacement
     q = np.asarray(q, np.float32)
     if optics.is_ideal and not any(displacement):
         return airy(q, aperture, rows, cols)
-    return pupil(optics.pupil, optics.waves(nanometres), q, aperture, rows, cols, diffuser=optics.diffuser / pitch,
-                 spots=tuple(length / pitch for length in optics.birefringence), displacement=displacement)
+    waves = optics.waves(nanometres)
+    even = symmetric(optics.pupil, waves)
+    return _folded(_along_rays(optics.pupil, waves, even), even, q, aperture, rows, cols,
+                   tuple(length / pitch for length in optics.birefringence), optics.diffuser / pitch, displacement)
 
 
 def otf(s):
@@ -68,25 +72,49 @@ def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.
     """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)
     even = symmetric(outline, waves)
+    few = len(q) * (rows // 2 + 1 if even and not any(displacement) else rows) * (cols // 2 + 1) < FEW
+    value = _integral if few else _spline_radial if even else _spline_polar
+    return _folded((value(outline, wave[None]) for wave in waves), even, q, aperture, rows, cols, spots, diffuser,
+                   displacement)
+
+
+def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
+    """Tables of transfer functions `otfs` of (sx, sy), one per wavelength; even: they are the same at every angle."""
     real = even and not any(displacement)
     height, width = np.broadcast_to(aperture, 2)
     fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
     fx = np.arange(cols // 2 + 1) / cols
     tables = np.zeros((len(q), fy.size, fx.size), complex)
-    value = _integral if tables.size < FEW else _spline_radial if even else _spline_polar
-    for table, one_q, wave in zip(tables, np.asarray(q, np.float64), waves, strict=True):
-        otf = value(outline, wave[None])
+    for table, one_q, otf in zip(tables, np.asarray(q, np.float64), otfs, strict=True):
         reach = int(np.ceil(1 / one_q + 0.5))
         for a in range(-reach, reach + 1):
             for b in range(-reach, reach + 1):
                 y, x = np.broadcast_arrays(fy + a, fx + b)
                 inside = np.hypot(y, x) * one_q < 1
+                if not inside.any():
+                    continue
+                y, x = y[inside], x[inside]
                 weight = np.sinc(height * y) * np.sinc(width * x)
                 weight = weight * np.cos(np.pi * spots[0] * y) * np.cos(np.pi * spots[1] * x)
                 weight = weight * np.exp(-2 * (np.pi * diffuser) ** 2 * (y * y + x * x))
-                weight = weight * np.exp(2j * np.pi * (displacement[0] * y + displacement[1] * x))
-                table[inside] += weight[inside] * otf(x[inside] * one_q, y[inside] * one_q)
+                if not real:
+                    weight = weight * np.exp(2j * np.pi * (displacement[0] * y + displacement[1] * x))
+                table[inside] += weight * otf(x * one_q, y * one_q)
     return tables.real.copy() if real else tables.view(np.float64)
+
+
+def _along_rays(outline, waves, even):
+    """Transfer functions of all wavelengths, by splines through the nodes that devices use: good to 4e-6."""
+    if not even:
+        rays = polar_table(outline, waves)
+        return (_through_rays(outline, table, *rays[1:]) for table in rays[0])
+    tables = radial_table(outline, waves)
+    nodes = np.linspace(0, 1, tables.shape[1])
+
+    def otf(spline, sx, sy):
+        return spline(1 - np.sqrt(1 - np.hypot(sx, sy)))
+
+    return (partial(otf, scipy.interpolate.CubicSpline(nodes, table)) for table in tables)
 
 
 def _integral(outline, wave):
@@ -117,11 +145,16 @@ def _spline_radial(outline, wave):
 
 
 def _spline_polar(outline, wave):
-    table, first, sectors = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
+    table, *rays = polar_table(outline, wave, POLYGON if outline.blades else TABLE)
+    return _through_rays(outline, table[0], *rays)
+
+
+def _through_rays(outline, table, first, sectors):
+    """Splines through a table (rays, n), see `polar_table`."""
     sides, inner = cutoff_polygon(outline)
-    size = (table.shape[1] - 1) // sectors
-    rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[2])
-    parts = table[0].real, table[0].imag
+    size = (table.shape[0] - 1) // sectors
+    rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
+    parts = table.real, table.imag
     splines = [[scipy.interpolate.RectBivariateSpline(rays[own], nodes, part[own]) for part in parts]
                for own in (slice(k * size, (k + 1) * size + 1) for k in range(sectors))]
 

@@ -216,7 +216,7 @@ def _channel_optics(waves, seen, q, ratio, lens_tables):
     # tables of a grid so fine that nothing is folded onto another frequency, over their own cells' transfer
     finer = 1 if q.min() >= 2 else len(waves.replicas)
     n = finer * round(1 / waves.step)
-    tables = np.asarray(lens_tables.quick(nodes * finer, 1.0, n, n, ratio * finer), np.float64)
+    tables = np.asarray(lens_tables.of(nodes * finer, 1.0, n, n, ratio * finer), np.float64)
     tables = np.tensordot(share @ between, tables, 1)
     if tables.shape[2] == n // 2 + 1:  # a quarter: the index of |frequency|
         fold = np.minimum(np.arange(n), n - np.arange(n))

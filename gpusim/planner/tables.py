@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gpusim.domain.optics import Optics
-from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.lens import wavelength_nodes
 from gpusim.optics.tables import transfer_tables
 
 
@@ -28,31 +28,26 @@ class Tables:
     def __init__(self, optics: Optics, pitch: float, kept: Kept):
         self._optics, self._pitch, self._kept = optics, pitch, kept
 
-    def exact(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)) -> np.ndarray:
+    def of(self, q, aperture, rows, cols, finer, displacement=(0.0, 0.0)) -> np.ndarray:
         """Tables at all frequencies of a period, see `gpusim.optics.tables.transfer_tables`.
 
         q: of the wavelengths, shape (L,). aperture: height and width [sample], or one number for a square. finer:
-        samples per pixel. displacement: of the apertures from the samples [sample].
+        samples per pixel. displacement: of the apertures from the samples [sample]. Where the lens is not the same at
+        every angle those of a few wavelengths tell the others.
         """
-        of = self._optics, self._pitch / finer, q, aperture
-        return self._kept(f"sampled {rows}x{cols} {finer:g}", (*of, displacement), lambda: transfer_tables(
-            *of, rows, cols, displacement))
+        optics, pitch = self._optics, self._pitch / finer
+
+        def made():
+            nodes, between = wavelength_nodes(q) if not optics.is_symmetric else (q, None)  # q goes with the wavelength
+            tables = transfer_tables(optics, pitch, nodes, aperture, rows, cols, displacement)
+            return tables if between is None else np.tensordot(between, tables, 1)
+
+        return self._kept(f"sampled {rows}x{cols} {finer:g}", (optics, pitch, q, aperture, displacement), made)
 
     def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
-        """The same of a square period: real quarters, or complex halves of displaced apertures."""
-        tables = self.exact(q, aperture, period, period, finer, displacement)
-        return np.ascontiguousarray(tables).view(complex) if any(displacement) else tables
-
-    def quick(self, q, aperture, rows, cols, finer) -> np.ndarray:
-        """The exact ones, but for lenses whose exact tables take long: from kernels as large as the period."""
-        optics, pitch = self._optics, self._pitch
-        if optics.psf is not None or optics.is_symmetric:
-            return self.exact(q, aperture, rows, cols, finer)
-        lens = open_lens(optics, pitch / finer, aperture, (1, 1))
-        wavelengths = q * 1e9 * pitch / finer / optics.working_f_number
-        kernels = lens.kernels(wavelengths, (0.0, 0.0), (min(rows, cols) - 1) // 2 * 2 + 1)
-        tables = _transforms(kernels / kernels.sum(axis=(1, 2), keepdims=True), rows, cols)
-        return np.ascontiguousarray(tables).view(np.float64)
+        """The same of a square period: real quarters, or complex halves (L, period, period // 2 + 1)."""
+        tables = self.of(q, aperture, period, period, finer, displacement)
+        return tables if tables.shape[-1] == period // 2 + 1 else np.ascontiguousarray(tables).view(complex)
 
 
 def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:

@@ -14,9 +14,12 @@ from devices import ALL_KINDS, DEVICES
 from numpy.polynomial.polynomial import polyval2d
 
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.kernels.optics.pupil import polar_table, pupil, radial_table
 from gpusim.optics.otf import transfer
+from gpusim.optics.rays import CUBIC_ERROR, POLYGON_ERROR
+from gpusim.optics.tables import transfer_tables
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 PLACES = np.array([0.11, 0.37, 0.63, 0.86])  # s
@@ -134,6 +137,29 @@ def test_tables_of_terms_that_turn_often(j, waves, device):
 @pytest.mark.parametrize("seed", [0, 2])
 def test_mixtures(seed):
     check_reference(*mixture(seed))
+
+
+@pytest.mark.parametrize("optics", [
+    Optics(2.0, 4e-3, pupil=Pupil(0, 0.4)), Optics(2.8, 4e-3, pupil=Pupil(0, 0.2), defocus=8e-6),
+    Optics(2.0, 4e-3, wavefront=Wavefront(seidel=(0.8, 0.0, 0.0, 0.0, 0.0))),
+    Optics(2.0, 4e-3, wavefront=Wavefront(zernike=(0.0,) * 6 + (0.2,)), diffuser=4e-7),
+    Optics(2.0, 4e-3, pupil=Pupil(6, 0.1, 0.2)), Optics(4.0, 4e-3, pupil=Pupil(5), defocus=1e-5)])
+def test_tables_that_planners_look_at(optics):
+    """Splines through the devices' nodes against the integral at every frequency that is folded: twice their error."""
+    wavelengths, pitch = np.array([430.0, 550.0, 690.0]), 1.4e-6
+    q = wavelengths * 1e-9 * optics.working_f_number / pitch
+    tables = transfer_tables(optics, pitch, q, 0.9, 6, 7)
+    waves, q = optics.waves(wavelengths), np.float32(q)
+    even = tables.shape[1] == 4
+    y, x = np.arange(4) / 6 if even else np.fft.fftfreq(6), np.arange(4) / 7
+    for table, wave, one in zip(tables if even else np.ascontiguousarray(tables).view(complex), waves, q, strict=True):
+        more = np.arange(-4, 5)
+        fy, fx = np.add.outer(more, y).ravel()[:, None], np.add.outer(more, x).ravel()
+        seen = transfer(optics.pupil, wave[None], *(np.ravel(f) * one for f in np.broadcast_arrays(fx, fy)))
+        seen = seen.reshape(fy.size, fx.size) * np.sinc(0.9 * fy) * np.sinc(0.9 * fx)
+        seen *= np.exp(-2 * (np.pi * optics.diffuser / pitch) ** 2 * (fy**2 + fx**2))
+        expected = seen.reshape(9, len(y), 9, 4).sum(axis=(0, 2))
+        assert np.abs(table - expected).max() < 2 * (POLYGON_ERROR if optics.pupil.blades else CUBIC_ERROR)
 
 
 @pytest.mark.parametrize("polygon", [Pupil(6, 0.2, 0.3), Pupil(5, 0, 0.1)])

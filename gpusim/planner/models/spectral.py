@@ -141,12 +141,11 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     field at FIELD_POINTS, (L, P, n, n // 2 + 1).
     """
     optics, scene = question.optics, question.scene
-    if optics.is_symmetric and not optics.varies:
+    if not optics.varies:
         tables = question.tables.even(question.q, question.cell, period, question.ratio, question.moved)
     else:
         half = np.array(scene.samples) / 2 / question.corner
-        tables = field_tables(question.lens, scene.wavelengths,
-                              half * FIELD_POINTS if optics.varies else FIELD_POINTS[:1], period)
+        tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
     if taps is not None:  # what the pixels average out is no error
