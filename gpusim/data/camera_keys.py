@@ -236,6 +236,7 @@ _PROCESSOR = {
                                      "scaling")},
     "shading": ("shading", _yes_no),
     "denoise": ("denoise", _number()),
+    "white": ("white", _numbers(None)),
     "tone": ("tone", _pairs(None)),
 }
 _DISPLAY = {

@@ -34,6 +34,10 @@ class Camera:
         if self.processor.white_balance == "red-blue" and not {*"RB"} <= {*self.sensor.channels}:
             raise OutOfRange("processor.white_balance", f'"red-blue" of the channels {", ".join(self.sensor.channels)}',
                              "another way: it needs channels R and B")
+        white = self.processor.white
+        if white and len(white) != len(self.sensor.channels):
+            raise OutOfRange("processor.white", list(white), f"{len(self.sensor.channels)} numbers, of the channels "
+                             f"{', '.join(self.sensor.channels)}")
         if self.processor.color != "none" and len(self.sensor.channels) < 3:
             raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
@@ -54,7 +58,7 @@ class Camera:
         mosaic = "/".join(sensor.cfa)
         if processor.demosaic == "learned" and processor.table is not None:
             processor.table.layout.shift(sensor.cfa)  # UnknownName unless the table is for this mosaic
-            if processor.table.layout.gives_xyz and processor.estimates_white:
+            if processor.table.layout.gives_xyz and (processor.estimates_white or processor.white):
                 raise OutOfRange("processor.white_balance", f'"{processor.white_balance}" with filters that give XYZ',
                                  '"illuminant" or "none": they balance white already')
         elif not sensor.bayer_phase and processor.demosaic != "bilinear":

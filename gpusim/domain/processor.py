@@ -9,7 +9,7 @@ from gpusim.domain.learned import FilterTable
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
-WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "none")
+WHITE_BALANCES = ("illuminant", "gray-world", "max-rgb", "shades-of-gray", "red-blue", "preset", "none")
 SCALINGS = ("exposure", "normalised")
 COLORS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal", "none")
 BRIGHTEST = 1e3  # of a tone curve's nodes, encoded
@@ -28,7 +28,8 @@ class Processor:
         only one beside interpolation for other mosaics.
     table: filters of "learned"; None: the built-in ones of Bayer mosaics.
     white_balance: "illuminant" (the scene's light is known; a perfect diffuser comes out neutral), an estimate from the
-        picture ("gray-world", "max-rgb", "shades-of-gray", "red-blue"), or "none" (as if the light were `target`).
+        picture ("gray-world", "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white reads
+        `white`), or "none" (as if the light were `target`).
     color: how the 3 x C transform to CIE XYZ is chosen (see `gpusim.planner.color.color_matrix`), or "none" (channels
         go to the display as they are).
     training: name of the reflectance set that the transform is trained on.
@@ -38,6 +39,7 @@ class Processor:
         where the scene's light is not known).
     tone: the tone curve, (x, y) of two or more nodes, both increasing: x a linear value (white = 1) encoded as sRGB,
         y what is shown, encoded likewise, from 0 to 1; between the nodes a monotone cubic. () for none.
+    white: camera values of white for a "preset" white balance, one for each channel, any scale.
     Both are before the tone curve. Where the scene's light is known and used, or estimated, white surfaces are neutral.
     Raises UnknownName, OutOfRange, BadData.
     """
@@ -53,6 +55,7 @@ class Processor:
     target: str = "D65"
     scaling: str = "exposure"
     tone: tuple = ()
+    white: tuple[float, ...] = ()
 
     def __post_init__(self):
         for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
@@ -65,6 +68,7 @@ class Processor:
         check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
         if self.table is not None and self.demosaic != "learned":
             raise OutOfRange("processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"')
+        self._check_white()
         if self.tone:
             try:
                 nodes = np.asarray(self.tone, np.float64)
@@ -78,7 +82,19 @@ class Processor:
                               f"{BRIGHTEST:g}, y from 0 to 1")
             object.__setattr__(self, "tone", tuple(map(tuple, nodes.tolist())))
 
+    def _check_white(self):
+        try:
+            white = tuple(float(value) for value in self.white)
+        except (TypeError, ValueError):
+            raise BadData(f"processor.white = {self.white!r}: wanted a number for each channel") from None
+        if not all(0 < value < np.inf for value in white):
+            raise OutOfRange("processor.white", list(white), "numbers above 0")
+        if bool(white) != (self.white_balance == "preset"):
+            raise OutOfRange("processor.white", list(white), 'camera values of white with white_balance = "preset", '
+                             "none without")
+        object.__setattr__(self, "white", white)
+
     @property
     def estimates_white(self) -> bool:
         """Whether the white comes from the picture."""
-        return self.white_balance not in ("illuminant", "none")
+        return self.white_balance not in ("illuminant", "preset", "none")

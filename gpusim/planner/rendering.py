@@ -104,6 +104,10 @@ def _colors(plan, camera, keep):
     known = scene.light_is_known and processor.white_balance == "illuminant"
     light = scene.illuminant if known else photons_from_energy(illuminant(processor.target))
     rates = _white_rates(plan, camera)
+    if processor.white:
+        white = np.array(processor.white) / max(processor.white)
+        return _balanced(camera, white, "white as preset", lambda: keep(
+            "transforms", transforms_by(camera), lambda: transforms_of(camera)))
     if letters == XYZ:  # of the surfaces in the target light: filters have balanced white already
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
@@ -143,13 +147,25 @@ def rebalanced(once: Rendering, camera: Camera, transforms: TransformSet | None,
     """
     processor, levels = camera.processor, (once.white, once.saturation, once.diffuser)
     estimate = estimate_white(thumbnail, processor.white_balance, transforms, floor=floor)
+    return _balanced(camera, estimate.white, estimate.model, lambda: transforms).at(*levels)
+
+
+def _balanced(camera, white, words, transforms):
+    """Transforms by which `white` (C,), largest 1, comes out neutral. transforms: gives those of a set of lights."""
+    processor = camera.processor
     if processor.color == "none":
-        matrix, model = _channels_shown(planes_of(camera), estimate.white)
-        return _Colors.of(matrix, estimate.white, None, f"{model}, {estimate.model}").at(*levels)
-    assert transforms is not None  # color is not "none"
-    made = transforms.at(estimate.white)
-    model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {estimate.model}"
-    return _Colors.of(made.matrix, made.white, made.xyz, model).at(*levels)
+        matrix, model = _channels_shown(planes_of(camera), white)
+        return _Colors.of(matrix, white, None, f"{model}, {words}")
+    made = transforms().at(white)
+    model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
+    return _Colors.of(made.matrix, made.white, made.xyz, model)
+
+
+def transforms_by(camera: Camera) -> tuple:
+    """What `transforms_of` depends on."""
+    processor = camera.processor
+    return (camera.optics.transmission, camera.sensor.qe, planes_of(camera), processor.training, processor.color,
+            processor.target, camera.display)
 
 
 def transforms_of(camera: Camera) -> TransformSet:

@@ -10,7 +10,7 @@ from gpusim.developer import Developer, edges_of
 from gpusim.domain.exposure import exposure_value
 from gpusim.frame import Exposure, Frame, Later
 from gpusim.kernels.sensor.noise import check_drawn, redraw
-from gpusim.planner.rendering import transforms_of, without_tone
+from gpusim.planner.rendering import transforms_by, transforms_of, without_tone
 from gpusim.planner.speed import iso_speed
 from gpusim.program.kept import Kept, One
 from gpusim.report import Error, Report, StageReport, merged
@@ -43,11 +43,14 @@ class Shots:
         """The camera's image processor."""
         simulator, camera = self.simulator, self.exposure.camera
         sensor = camera.sensor
-        lights = camera.optics.transmission, sensor.qe, sensor.cfa, sensor.channels, camera.processor, camera.display
         kept, averaged = simulator.kept, simulator.readout.averaged
         of = One(sensor), camera.optics, camera.processor, camera.display, averaged
+
+        def transforms():
+            return kept("transforms", transforms_by(camera), lambda: transforms_of(camera))
+
         return kept("developer", of, lambda: Developer(
-            camera, simulator.device, averaged, lambda: kept("transforms", lights, lambda: transforms_of(camera)),
+            camera, simulator.device, averaged, transforms,
             kept("edges of codes", (camera.display, camera.processor.tone), lambda: edges_of(camera))))
 
     @property

@@ -2,6 +2,7 @@
 
 import argparse
 import time
+from dataclasses import asdict
 from fractions import Fraction
 from functools import partial
 from math import radians
@@ -16,7 +17,7 @@ MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 # Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp", "fps")
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp", "lag", "fps")
 
 
 def add_command(commands):
@@ -45,6 +46,9 @@ def add_command(commands):
     parser.add_argument("--ramp", type=Ramps.parse, default=Ramps(), metavar="LIST", help="what changes from the first "
                         "frame to the last, such as exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, "
                         "and light, a factor")
+    parser.add_argument("--lag", type=_lags, metavar="LIST", help="loops of the camera that follow the scene, and "
+                        "their time constants [s], such as exposure=0.3,white=1,focus=0.5; a pass over all scenes "
+                        "meters them first (default: exposure follows in the next frame, white is each frame's own)")
     parser.add_argument("--flicker", type=_flicker, metavar="HZ[,DEPTH]", help="all light is that of lamps on the "
                         "mains: 100 or 120, and (most - least) / (most + least) (default: 1); rows see its phase")
     parser.add_argument("--pwm", type=_switched, metavar="HZ,DUTY", help="all light is switched so many times a "
@@ -79,6 +83,12 @@ def _number(text):
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}: wanted a number") from None
+
+
+def _lags(text):
+    from gpusim.video.loops import Lags
+
+    return Lags.parse(text)
 
 
 def _flicker(text):
@@ -126,6 +136,7 @@ def video(arguments) -> int:
     from gpusim.data.cameras import open_camera
     from gpusim.domain.motion import Motion
     from gpusim.simulator import Simulator
+    from gpusim.video.loops import NO_LOOPS, Loops
     from gpusim.video.manifest import kept
     from gpusim.video.scenes import Moving
     from gpusim.video.video import within_period
@@ -142,16 +153,33 @@ def video(arguments) -> int:
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
     for part in (0.0, 1.0):
         within_period(arguments.ramp.camera(camera, part), arguments.fps)  # said before the work
+    if arguments.lag:
+        arguments.lag.check(camera, arguments.ramp)
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
     segments = segments_of(scenes.count, arguments.segment)
     own = arguments.shard.of(segments)
     target, manifest, made = _target(path, arguments, simulator, scenes, segments)
+    loops = NO_LOOPS
+    if arguments.lag:
+        loops = Loops.kept_in(manifest) or _metered(arguments, simulator, scenes)
+        made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
-        return _written(target, simulator, scenes, own, arguments.seed)
+        return _written(target, simulator, scenes, own, arguments.seed, loops)
 
 
-def _written(target, simulator, scenes, own, seed):
+def _metered(arguments, simulator, scenes):
+    """Loops of a pass over all scenes."""
+    from tqdm import tqdm
+
+    from gpusim.video.loops import metered
+
+    with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
+        return metered(simulator, scenes, arguments.lag, arguments.ramp, float(1 / arguments.fps),
+                       seed=arguments.seed, seen=bar.update)
+
+
+def _written(target, simulator, scenes, own, seed, loops):
     """Write what is missing, and say what was done. Returns the exit status."""
     from tqdm import tqdm
 
@@ -160,7 +188,7 @@ def _written(target, simulator, scenes, own, seed):
     begun, worst, count, is_met = time.perf_counter(), None, 0, True
     total = sum(len(segment) for segment in own)
     with tqdm(total=total, unit="frame", disable=None) as bar:
-        for one in target.write(simulator, scenes, own, seed):
+        for one in target.write(simulator, scenes, own, seed, loops):
             count += 1
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)

@@ -19,6 +19,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.simulator import Simulator
 from gpusim.video.codecs import PART, Codec, Encoder
+from gpusim.video.loops import NO_LOOPS, Loops
 from gpusim.video.manifest import PARTS
 from gpusim.video.pipeline import ahead
 from gpusim.video.ramps import Ramps
@@ -54,29 +55,31 @@ def within_period(camera: Camera, rate: Fraction) -> Camera:
 
 
 def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], *, seed: int = 0,
-           output: str | None = None, ramps: Ramps = NO_RAMPS) -> Iterator[Made]:
+           output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
     """The frames that are wanted of each segment, in order.
 
     segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
-    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps: of all
-    frames that `scenes` has.
+    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps, loops: of
+    all frames that `scenes` has.
     """
     program, last = None, max(scenes.count - 1, 1)
+    meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
     for first, *wanted in segments:
-        if scenes.is_still and not ramps.ranges:
+        if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
             program = program or simulator.program(next(scenes.between(0, 1)))
             yield from (_made(program, number, seed, output) for number in wanted)
             continue
-        lead = first - (simulator.camera.sensor.exposure_time is None and first > 0)
+        lead = first - (meters and first > 0)
         with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
             for number, shown in enumerate(arriving, lead):
                 scene = ramps.scene(shown, number / last)
-                camera = ramps.camera(simulator.camera, number / last)
+                camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
+                operation = loops.operation(camera, number)
                 if number == lead or program is None:
-                    program = simulator.update(camera).program(scene, meters_late=True)
+                    program = simulator.update(camera).program(scene, meters_late=meters, **operation)
                 else:
                     other = {} if camera is program.simulator.camera else {"camera": camera}
-                    program.update(scene=scene, **other)
+                    program.update(scene=scene, **other, **operation)
                 made = _made(program, number, seed, output)  # unwanted, too, for what the next one takes of it
                 if number in wanted:
                     yield made
@@ -85,15 +88,16 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
 
 
 def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
-                   output: str | None = None, ramps: Ramps = NO_RAMPS) -> Iterator[Made]:
+                   output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
     """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
             scene = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
-            simulator = still.update(ramps.camera(still.camera, number / last)) if ramps.ranges else still
+            camera = loops.camera(ramps.camera(still.camera, number / last), number)
+            simulator = still if camera is still.camera else still.update(camera)
             exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
-                                     flicker=scenes.flicker)
+                                     flicker=scenes.flicker, **loops.operation(camera, number))
             account = exposure.plan.account.at(exposure.exposure_time)
             if output is None:
                 yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), account)
@@ -135,11 +139,13 @@ class NumberedFiles:
         """Of a frame."""
         return self._path.with_name(f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}")
 
-    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0) -> Iterator[Made]:
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
+              loops: Loops = NO_LOOPS) -> Iterator[Made]:
         """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
         missing = [[segment.start, *(number for number in segment if not self.name(number).exists())]
                    for segment in segments]
-        made = self._made(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed)
+        made = self._made(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed,
+                          loops=loops)
         workers = os.cpu_count() or 1
         with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
             writing: dict = {}
@@ -180,11 +186,12 @@ class EncodedFile:
         """The file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
-    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0) -> Iterator[Made]:
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
+              loops: Loops = NO_LOOPS) -> Iterator[Made]:
         """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
         missing = [segment for segment in segments if not self.part(segment).exists()]
         made = self._made(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
-                          output=self._codec.output)
+                          output=self._codec.output, loops=loops)
         with closing(ahead(made, COMPUTED)) as computed:
             for segment in missing:
                 yield from self._encoded(segment, computed)
