@@ -21,6 +21,7 @@ _PUBLIC = {
     "View": "gpusim.domain.view", "Batch": "gpusim.batches",
     "EventSensor": "gpusim.captures.events", "events_of": "gpusim.captures.events",
     "write_events": "gpusim.io.events",
+    "Actor": "gpusim.domain.animation", "Animation": "gpusim.domain.animation",
     "Motion": "gpusim.domain.motion", "Flicker": "gpusim.domain.flicker",
     "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
     "average": "gpusim.captures.burst", "read_nondestructively": "gpusim.captures.reads",

@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from gpusim.domain.account import SAFETY
+from gpusim.domain.animation import Animation
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.flicker import Flicker
@@ -75,13 +76,15 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
                   gain: float = 1.0, instants: int | None = None, flicker: Flicker | None = None) -> Exposure:
     """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
 
+    scene: a Scene, or an Animation, in which things move on the same clock.
     start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
     instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
     the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
     flicker: see `expose_moving`.
     Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than COUNTS has.
     """
-    scene, sensor = checked_scene(scene), simulator.camera.sensor
+    moving = scene if isinstance(scene, Animation) else None
+    scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
     if exposure_time is None and sensor.exposure_time is None:
         metered_by = simulator.expose(scene.viewed(motion.at(start)), None, gain)
@@ -94,6 +97,8 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     for count in [instants] if instants else COUNTS:
         times = start + whole * np.linspace(0, 1, count)
         step = farthest(scene, motion, times)
+        if moving:  # an actor's own way, as large as the camera shows it, and the camera's
+            step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
         tolerance = simulator.tolerance
         if instants or not step or (step <= STEP if tolerance is None else
@@ -104,7 +109,7 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
                          f"that takes up to {count} instants: a shorter exposure, a slower camera, a larger tolerance")
     if not step:
         times = times[:1]
-    scenes = [scene.viewed(motion.at(time)) for time in times]
+    scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
     made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker)
     between = next((one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)), scenes[0].view)
     told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}

@@ -42,6 +42,19 @@ def read_photo(path) -> Basis | Materials:
         return lift(np.moveaxis(linear, -1, 0))
 
 
+def read_cutout(path) -> tuple[Basis, np.ndarray]:
+    """Read a PNG as reflectances in colour, as `read_photo` does, and what it covers, shape (rows, cols), 0 .. 1.
+
+    A picture without alpha covers all of itself. Raises BadFile and DoesNotFit.
+    """
+    with named(path):
+        samples = read_samples(path)
+        white, colours = np.iinfo(samples.dtype).max, 3 if samples.shape[-1] > 2 else 1
+        linear = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[samples[..., :colours]]
+        alpha = samples[..., -1] / white if samples.shape[-1] in ALPHA else np.ones(samples.shape[:2])
+        return lift(np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)), alpha.astype(np.float32)
+
+
 def lift(linear) -> Basis:
     """Reflectances that have these colours in D65.
 

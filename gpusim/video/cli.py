@@ -10,6 +10,7 @@ from pathlib import Path
 
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.options import add_asked, operated, scene_of, whole
+from gpusim.video.cast import Cast
 from gpusim.video.ramps import Ramps
 from gpusim.video.segments import LENGTH, Shard, segments_of
 
@@ -17,7 +18,8 @@ MOST_FRAMES = 10**7
 FASTEST = 10**5  # [frame/s]
 # Beside camera and scenes what frames depend on
 OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "tolerance", "guaranteed",
-           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp", "lag", "fps")
+           "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp", "lag",
+           "actor", "fps")
 
 
 def add_command(commands):
@@ -43,6 +45,9 @@ def add_command(commands):
                         "displacement, from --seed")
     parser.add_argument("--blur", action="store_true", help="of the camera's movement while it exposes, and its "
                         "rolling shutter: many times the work, as many instants a frame as the tolerance takes")
+    parser.add_argument("--actor", type=Cast.parse, action="append", metavar="PNG,...", help="a picture with alpha "
+                        "that moves before a photograph, the nearest first: car.png,at=40:-200,pan=0:120 (its middle's "
+                        "row and column from the scene's, pixels a second), roll=DEG_S, zoom=Z, zooming=FACTOR")
     parser.add_argument("--ramp", type=Ramps.parse, default=Ramps(), metavar="LIST", help="what changes from the first "
                         "frame to the last, such as exposure=1/500..1/30,focus=0.3..5: exposure, iso, f-number, focus, "
                         "and light, a factor")
@@ -146,10 +151,12 @@ def video(arguments) -> int:
                                                 arguments.zooming, arguments.shake, arguments.seed)
     if arguments.flicker and arguments.pwm:
         raise OutOfRange("--pwm", "given", "without --flicker: all light is one or the other")
-    if motion != Motion(seed=arguments.seed) or arguments.flicker or arguments.pwm:
-        scenes = Moving(scenes, motion, arguments.fps, arguments.flicker or arguments.pwm)
+    actors = tuple(cast.actor() for cast in arguments.actor or ())
+    if motion != Motion(seed=arguments.seed) or arguments.flicker or arguments.pwm or actors:
+        scenes = Moving(scenes, motion, arguments.fps, arguments.flicker or arguments.pwm, actors)
+        next(scenes.between(0, 1))  # whose actors fit or not
     elif arguments.blur:
-        raise OutOfRange("--blur", "given", "with --pan, --roll, --zooming or --shake: the camera rests")
+        raise OutOfRange("--blur", "given", "with --pan, --roll, --zooming, --shake or --actor: nothing moves")
     camera = within_period(operated(open_camera(arguments.camera), arguments), arguments.fps)
     for part in (0.0, 1.0):
         within_period(arguments.ramp.camera(camera, part), arguments.fps)  # said before the work
@@ -254,6 +261,7 @@ def _target(path, arguments, simulator, scenes, segments):
                         ramps=arguments.ramp)
     camera, suffix = simulator.camera, path.suffix.lower()
     made = {"gpusim": __version__, "camera": digest(camera), "scenes": scenes.names,
+            "actors": [file_digest(cast.path) for cast in arguments.actor or ()],
             "contents of files": [file_digest(name) for name in (scenes.names if len(arguments.scene) > 1 or Path(
                 arguments.scene[0]).is_dir() else arguments.scene)], "frames": scenes.count,
             "options": {name: str(getattr(arguments, name)) for name in OPTIONS},

@@ -18,7 +18,6 @@ import numpy as np
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.processor import WHITE_BALANCES
-from gpusim.program.program import Program
 from gpusim.simulator import Simulator
 from gpusim.video.pipeline import ahead
 from gpusim.video.ramps import Ramps
@@ -135,7 +134,7 @@ def metered(simulator: Simulator, scenes: Scenes, lags: Lags, ramps: Ramps, peri
     period: of the frames [s]. seed: of the pictures' noise. seen: called after each of the scenes. Raises BadData for a
     loop of focus without depth, and what frames of the scenes raise.
     """
-    program: Program | None = None
+    program: Any = None
     last = max(scenes.count - 1, 1)
     seconds: list[float] = []
     white: list[Any] = []

@@ -7,6 +7,7 @@ from itertools import islice, repeat
 from pathlib import Path
 from typing import Protocol
 
+from gpusim.domain.animation import Actor, Animation
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
@@ -70,13 +71,15 @@ class First:
 class Moving:
     """Other scenes, `still`, before a camera that moves. rate: frames per second. Raises OutOfRange, BadData.
 
-    flicker: of their light.
+    flicker: of their light. actors: what moves in them.
     """
 
     is_still = False
 
-    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction, flicker: Flicker | None = None):
+    def __init__(self, scenes: Scenes, motion: Motion, rate: Fraction, flicker: Flicker | None = None,
+                 actors: tuple[Actor, ...] = ()):
         self.still, self.motion, self.period, self.flicker = scenes, motion, float(1 / rate), flicker
+        self.actors = actors
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # said before the work
@@ -84,7 +87,8 @@ class Moving:
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `Scenes`."""
         for number, scene in enumerate(self.still.between(first, end), first):
-            yield scene.viewed(self.motion.at(number * self.period))
+            time = number * self.period
+            yield (Animation(scene, self.actors).at(time) if self.actors else scene).viewed(self.motion.at(time))
 
 
 def checked_size(scene: Scene, shape, name, first) -> Scene:

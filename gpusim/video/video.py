@@ -15,6 +15,7 @@ import numpy as np
 
 from gpusim.captures.moving import expose_motion
 from gpusim.domain.account import Account
+from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.simulator import Simulator
@@ -93,7 +94,9 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
     last, still = max(scenes.count - 1, 1), simulator
     for _, *wanted in segments:
         for number in wanted:
-            scene = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
+            scene: Any = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
+            if scenes.actors:
+                scene = Animation(scene, scenes.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
             exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
