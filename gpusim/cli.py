@@ -1,4 +1,4 @@
-"""The command line: `gpusim simulate | plan | video | pairs | train-l3 | verify | bench | devices`."""
+"""The command line: `gpusim simulate | plan | video | pairs | preview | train-l3 | verify | bench | devices`."""
 
 import argparse
 import dataclasses
@@ -11,6 +11,7 @@ from gpusim.domain.errors import BadFile, GpusimError, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
 from gpusim.options import DEVICE_HELP, add_asked, operated, scene_of, size, whole
 from gpusim.pairs import cli as pairs
+from gpusim.preview import cli as preview
 from gpusim.video import cli as video
 
 
@@ -303,6 +304,7 @@ def _parser():
 
     video.add_command(commands)
     pairs.add_command(commands)
+    preview.add_command(commands)
     train_l3.add_command(commands, DEVICE_HELP)
 
     verify = commands.add_parser("verify", help="every stage against the float64 reference; status 1 on any failure")

@@ -46,15 +46,17 @@ def open_camera(name_or_path) -> Camera:
     A file's keys are the fields of Optics, Sensor, Processor and Display; a key that has a unit ends in it, such as
     `pixel_pitch_um`. Raises BadFile, naming file and key, and UnknownName for a name that is neither.
     """
+    return camera_of(*camera_table(name_or_path))
+
+
+def camera_table(name_or_path) -> tuple[Path, dict]:
+    """A camera's file, and its keys as they are written there. Raises as `open_camera`."""
     if name_or_path in camera_names():
-        return _read(_FOLDER / f"{name_or_path}.toml")
-    path = Path(name_or_path)
-    if path.suffix != ".toml" and not os.path.exists(path):  # Path.exists raises for a name that is too long
-        raise UnknownName("camera", str(name_or_path), camera_names())
-    return _read(path)
-
-
-def _read(path):
+        path = _FOLDER / f"{name_or_path}.toml"
+    else:
+        path = Path(name_or_path)
+        if path.suffix != ".toml" and not os.path.exists(path):  # Path.exists raises for a name that is too long
+            raise UnknownName("camera", str(name_or_path), camera_names())
     text = read_text(path, "TOML")
     deep = _DEEP_KEY.search(text)
     if deep:
@@ -66,8 +68,13 @@ def _read(path):
         except tomllib.TOMLDecodeError as error:  # it says the line
             raise BadFile(path, f"not TOML: {error}") from None
         _require_short_integers(path, table)
+    return path, table
+
+
+def camera_of(path: Path, table: dict) -> Camera:
+    """The camera of a file's keys, or of changed ones. path: its file, which errors name. Raises as `open_camera`."""
     with named(path):  # the domain's own checks know the key but not the file
-        return _camera(path, table)
+        return _camera(path, dict(table))
 
 
 def _require_short_integers(path, value):

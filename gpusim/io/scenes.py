@@ -51,7 +51,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
             raise OutOfRange("size", f"{size[0]} x {size[1]}", f"for charts only; {path} has its own size")
         white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
         scene = _read(path, white, bands)
-        scene = _relit(path, scene, light, luminance)
+        scene = relit(path, scene, light, luminance)
     else:
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
@@ -97,8 +97,11 @@ def _read(path, white, bands):
         return Scene(content, illuminated, name=path.stem)
 
 
-def _relit(path, scene, light, luminance):
-    """Return the scene in another light, or at another luminance."""
+def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
+    """The scene in another light, a name for `illuminant`, or at another luminance, see `open_scene`; None: its own.
+
+    path: that errors name. Raises BadFile, UnknownName, OutOfRange.
+    """
     if light is None and luminance is None:
         return scene
     if scene.light_is_known:
@@ -107,6 +110,7 @@ def _relit(path, scene, light, luminance):
         return dataclasses.replace(scene, illuminant=radiance)
     if light:
         raise BadFile(path, f"light {light!r} asked for, but the file holds radiance: its own light is not known")
+    assert luminance is not None  # no light
     mean = mean_luminance(scene)
     if not mean > 0:
         raise BadFile(path, f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}")

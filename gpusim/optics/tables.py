@@ -81,26 +81,23 @@ def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.
 def _folded(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement):
     """Tables of transfer functions `otfs` of (sx, sy), one per wavelength; even: they are the same at every angle."""
     real = even and not any(displacement)
-    height, width = np.broadcast_to(aperture, 2)
-    fy = (np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows))[:, None]
+    fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
     fx = np.arange(cols // 2 + 1) / cols
-    tables = np.zeros((len(q), fy.size, fx.size), complex)
+    tables = np.zeros((len(q), fy.size, fx.size), float if real else complex)
     for table, one_q, otf in zip(tables, np.asarray(q, np.float64), otfs, strict=True):
         reach = int(np.ceil(1 / one_q + 0.5))
-        for a in range(-reach, reach + 1):
-            for b in range(-reach, reach + 1):
-                y, x = np.broadcast_arrays(fy + a, fx + b)
-                inside = np.hypot(y, x) * one_q < 1
-                if not inside.any():
-                    continue
-                y, x = y[inside], x[inside]
-                weight = np.sinc(height * y) * np.sinc(width * x)
-                weight = weight * np.cos(np.pi * spots[0] * y) * np.cos(np.pi * spots[1] * x)
-                weight = weight * np.exp(-2 * (np.pi * diffuser) ** 2 * (y * y + x * x))
-                if not real:
-                    weight = weight * np.exp(2j * np.pi * (displacement[0] * y + displacement[1] * x))
-                table[inside] += weight * otf(x * one_q, y * one_q)
-    return tables.real.copy() if real else tables.view(np.float64)
+        y, x = ((np.arange(-reach, reach + 1)[:, None] + f).ravel() for f in (fy, fx))
+        down, across = (np.sinc(width * f) * np.cos(np.pi * spot * f) * np.exp(
+            -2 * (np.pi * diffuser * f) ** 2 + (0 if real else 2j * np.pi * move * f))
+            for f, width, spot, move in zip((y, x), np.broadcast_to(aperture, 2), spots, displacement, strict=True))
+        inside = np.nonzero(np.hypot(y[:, None], x) * one_q < 1)
+        values = np.zeros((y.size, x.size), tables.dtype)
+        found = otf(x[inside[1]] * one_q, y[inside[0]] * one_q)
+        values[inside] = found.real if real else found
+        values *= down[:, None]
+        values *= across
+        table[:] = values.reshape(-1, fy.size, 2 * reach + 1, fx.size).sum(axis=(0, 2))
+    return tables if real else tables.view(np.float64)
 
 
 def _along_rays(outline, waves, even):

@@ -117,6 +117,7 @@ def test_a_varying_lens_keeps_its_tolerance(device):
     assert "optics.field" in str(report)
 
 
+@pytest.mark.slow
 def test_diffusers_spread_the_field_as_well():
     """A point far off the axis, behind a diffuser: less than half the peak, and no dark ring around it.
 

@@ -24,7 +24,7 @@ GRAY = replace(PHONE, processor=replace(PHONE.processor, white_balance="gray-wor
 class Sequence:
     """Scenes of a list."""
 
-    is_still, names, flicker, motion, period = False, ["a list"], None, gs.Motion(), PERIOD
+    is_still, names, flicker, motion, period, actors = False, ["a list"], None, gs.Motion(), PERIOD, ()
 
     def __init__(self, scenes):
         self.scenes, self.count, self.still = scenes, len(scenes), self

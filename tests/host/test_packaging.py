@@ -51,6 +51,8 @@ ALLOWED = {
                      "gpusim.planner", "gpusim.simulator", "gpusim.video"},
     "gpusim.video": {"gpusim.backends", "gpusim.captures", "gpusim.domain", "gpusim.data", "gpusim.io",
                      "gpusim.options", "gpusim.planner", "gpusim.simulator"},
+    "gpusim.preview": {"gpusim.backends", "gpusim.domain", "gpusim.data", "gpusim.frame", "gpusim.io", "gpusim.options",
+                       "gpusim.planner", "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
     "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},

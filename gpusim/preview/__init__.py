@@ -1,0 +1,1 @@
+"""Live preview: move a slider, see the camera change; `gpusim preview`."""

@@ -1,0 +1,87 @@
+"""What the preview's page lets one change: keys of a camera file, with their ranges and in their groups."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
+
+LIGHTS = ("D65", "D50", "A", "FL2", "FL11", "LED-B1", "LED-B5", "LED-RGB1", "daylight-10000K", "blackbody-2000K")
+TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
+VIEWS = ("rendered", "raw", "electrons", "noise")
+
+
+@dataclass(frozen=True)
+class Control:
+    """One key of a camera file.
+
+    section, key: of the file; item: of its list, or None. label, unit: for the page. low, high: of a slider, whose
+    places are even in the logarithm where `is_log`. choices: in place of a slider. off: what stands for "not there",
+    which a switch beside the slider sets. default: where neither file nor class has one.
+    """
+
+    section: str
+    key: str
+    label: str
+    low: float = 0.0
+    high: float = 1.0
+    unit: str = ""
+    is_log: bool = False
+    is_whole: bool = False
+    choices: tuple[Any, ...] = ()
+    item: int | None = None
+    off: Any = None
+    default: Any = None
+
+    @property
+    def name(self) -> str:
+        """Of the control, for links and tests."""
+        return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
+
+
+def _noise(key, label, high, unit, low):
+    return Control("noise", key, label, low, high, unit, is_log=True, off=0.0, default=0.0)
+
+
+# Places in Noll's order of aberrations that are the same all over the field; those that vary take seconds to plan
+ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
+GROUPS: dict[str, tuple[Control, ...]] = {
+    "Exposure": (
+        Control("sensor", "exposure_time_ms", "exposure", 0.01, 1000.0, "ms", is_log=True, off="auto", default="auto"),
+        Control("sensor", "analog_gain", "gain", 1.0, 32.0, is_log=True, default=1.0),
+    ),
+    "Lens": (
+        Control("optics", "f_number", "f-number", 0.7, 32.0, is_log=True),
+        Control("optics", "object_distance_m", "focus", 0.1, 1000.0, "m", is_log=True, off=float("inf"),
+                default=float("inf")),
+        Control("optics", "defocus_um", "defocus", -50.0, 50.0, "um", default=0.0),
+        *(Control("optics", "zernike_waves", label, -0.5, 0.5, "waves", item=item, default=(0.0,) * 11)
+          for label, item in ZERNIKE.items()),
+    ),
+    "Sensor": (
+        Control("sensor", "pixel_pitch_um", "pixel pitch", 0.5, 12.0, "um", is_log=True),
+        Control("sensor", "fill_factor", "fill factor", 0.05, 1.0, default=1.0),
+        Control("sensor", "full_well_e", "full well", 100.0, 1e5, "e-", is_log=True, default=10000.0),
+        Control("sensor", "bits", "bits", choices=(8, 10, 12, 14, 16), default=10),
+    ),
+    "Noise": (
+        Control("noise", "photon", "photon noise", choices=("fast", "exact", "none"), default="fast"),
+        _noise("read_e", "read", 50.0, "e-", 0.1), _noise("dark_current_e_per_s", "dark current", 1e4, "e-/s", 0.01),
+        _noise("dsnu_e", "DSNU", 50.0, "e-", 0.01), _noise("prnu", "PRNU", 0.2, "", 1e-4),
+        _noise("row_e", "row", 20.0, "e-", 0.01), _noise("column_e", "column", 20.0, "e-", 0.01),
+        _noise("row_prnu", "row PRNU", 0.1, "", 1e-4), _noise("column_prnu", "column PRNU", 0.1, "", 1e-4),
+        _noise("adc_dn", "converter", 16.0, "DN", 0.01), _noise("hot_pixels", "hot pixels", 0.1, "", 1e-6),
+        _noise("dead_pixels", "dead pixels", 0.1, "", 1e-6),
+        Control("noise", "temperature_c", "temperature", -20.0, 100.0, "deg C", default=25.0),
+    ),
+    "Processor": (
+        Control("processor", "defects", "defects", choices=DEFECTS, default="none"),
+        Control("processor", "denoise", "denoising", 0.0, 4.0, default=0.0),
+        Control("processor", "demosaic", "demosaicking", choices=DEMOSAICS, default="bilinear"),
+        Control("processor", "white_balance", "white balance",
+                choices=tuple(name for name in WHITE_BALANCES if name != "preset"), default="illuminant"),
+        Control("processor", "color", "colour", choices=COLORS, default="white-preserving"),
+        Control("processor", "shading", "shading correction", choices=(False, True), default=False),
+        Control("processor", "scaling", "scaling", choices=SCALINGS, default="exposure"),
+    ),
+}
+CONTROLS = {control.name: control for group in GROUPS.values() for control in group}

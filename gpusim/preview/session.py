@@ -1,0 +1,161 @@
+"""A client of the preview: what it has set, and the frames on their way to it. Pictures are made while it waits."""
+
+import asyncio
+import io
+import struct
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from gpusim.domain.errors import GpusimError, one_line
+from gpusim.preview.producer import Picture, Producer
+from gpusim.preview.state import History, State
+
+IN_FLIGHT = 2  # frames that were sent and not yet painted
+QUALITY = 85  # of the JPEGs
+STILL = 0.3  # [s] without a change after which a picture that stands still is sent without loss
+COUNTED = 30  # frames of which rate and latency are told
+HEAD = struct.Struct("<III")  # number, version, kind
+JPEG, PNG = 0, 1
+
+DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # what is on a device is used by one thread at a time
+
+
+class Session:
+    """Settings and pictures of a client. error: why the last settings make no picture, or ""."""
+
+    def __init__(self, producer: Producer, state: State):
+        self.history, self.producer = History(state), producer
+        self.version, self.number = 0, state.frame
+        self.shown: Picture | None = None
+        self.error = ""
+        self.begun: float | None = None  # when the picture that is being made was begun
+        self.used = time.monotonic()
+        self._changed = asyncio.Event()
+        self._painted: deque[float] = deque(maxlen=COUNTED)
+        self._waits: deque[float] = deque(maxlen=COUNTED)
+
+    @property
+    def state(self) -> State:
+        """The present settings."""
+        return self.history.state
+
+    def set(self, state: State, by: str = ""):
+        """Go on with other settings; by: the slider that is moved, "" for a step of its own."""
+        self.history.set(state, by)
+        self.touch()
+
+    def touch(self):
+        """Something has changed: another picture is wanted."""
+        self.version += 1
+        self.used = time.monotonic()
+        self._changed.set()
+
+    @property
+    def rate(self) -> float:
+        """Painted frames a second, of the last ones."""
+        span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
+        return (len(self._painted) - 1) / span if span and time.monotonic() - self._painted[-1] < 2 else 0.0
+
+    @property
+    def latency(self) -> float:
+        """Median time from a frame's start to its paint [ms]."""
+        return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
+
+    async def computed(self, work, *arguments):
+        """What a function of the producer gives, by the device's thread."""
+        return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+
+    async def serve(self, send, acknowledged):
+        """Send frames as they are wanted. send: coroutine of bytes; acknowledged: coroutine that waits for a paint."""
+        begun: deque[float] = deque()
+        room = asyncio.Event()
+
+        async def listen():
+            while True:
+                await acknowledged()
+                if begun:  # more acknowledgements than frames say nothing
+                    self._waits.append(time.monotonic() - begun.popleft())
+                    self._painted.append(time.monotonic())
+                room.set()
+
+        async def push():
+            sent = -1
+            while True:
+                while len(begun) >= IN_FLIGHT:
+                    room.clear()
+                    await room.wait()
+                if sent == self.version and (self.error or not self.state.is_live):
+                    if not await self._changes(sent, STILL):
+                        await self._settled(sent, send, begun)
+                        await self._changes(sent)
+                    continue
+                start, version = time.monotonic(), self.version
+                data = await self._made(version)
+                sent = version
+                if data:
+                    begun.append(start)
+                    await send(data)
+
+        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(push())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+
+    async def _changes(self, version, within=None):
+        """Whether the settings go on from a version, within so many seconds."""
+        while self.version == version:
+            self._changed.clear()
+            try:
+                await asyncio.wait_for(self._changed.wait(), within)
+            except TimeoutError:
+                return False
+        return True
+
+    async def _settled(self, version, send, begun):
+        """Send the picture that stands still without loss."""
+        if not self.error and self.shown is not None:
+            data = await self.computed(_png, self.shown)
+            begun.append(time.monotonic())
+            await send(HEAD.pack(self.shown.number, version % 2**32, PNG) + data)
+
+    async def _made(self, version):
+        """A frame's bytes; none where the settings make no picture, and the last one stays."""
+        state = self.state
+        if state.is_live:
+            self.number = (self.number + 1) % 2**32
+        else:
+            self.number = state.frame
+        self.begun = time.monotonic()
+        try:
+            shown, data = await self.computed(self._pictured, state, self.number)
+        except GpusimError as error:
+            self.error = str(error)
+            return None
+        except Exception as error:  # a device that fails: the page says so, and goes on when it can
+            self.error = f"the device fails: {one_line(str(error) or type(error).__name__)}"
+            return None
+        finally:
+            self.begun = None
+        self.shown, self.error = shown, ""
+        return HEAD.pack(shown.number, version % 2**32, JPEG) + data
+
+    def _pictured(self, state, number):
+        import simplejpeg
+
+        shown = self.producer.picture(state, number)
+        return shown, simplejpeg.encode_jpeg(shown.codes, QUALITY, "RGB", "420", fastdct=True)
+
+
+def _png(shown):
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(shown.codes).save(file, "PNG", compress_level=1)
+    return file.getvalue()

@@ -1,0 +1,150 @@
+"""What one client of the preview has set: a camera file's table, the scene's light, and what is shown of it."""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from shlex import join
+from time import monotonic
+from typing import Any
+
+from gpusim.data.cameras import camera_of, camera_table
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData
+from gpusim.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
+
+MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
+LONGEST_LINK = 8192  # [character]
+
+
+@dataclass(frozen=True)
+class State:
+    """Settings. camera: a built-in one's name, or a file.
+
+    changes: name of a control -> value in the camera file's unit. light, luminance [cd m-2]: of the scene, or None: its
+    own. tolerance: of TOLERANCES. view: of VIEWS. is_live: noise runs. seed, frame: of the noise that stands still.
+    """
+
+    camera: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    light: str | None = None
+    luminance: float | None = None
+    tolerance: str = "1e-3"
+    view: str = "rendered"
+    is_live: bool = True
+    seed: int = 0
+    frame: int = 0
+
+    def value(self, control: Control, table: dict) -> Any:
+        """What a control has: set, or in the camera file, or its default."""
+        if control.name in self.changes:
+            return self.changes[control.name]
+        given = table.get(control.section, {}).get(control.key, control.default)
+        return given if control.item is None else _long(given, control)[control.item]
+
+    def table(self) -> dict:
+        """The camera file's table with the changes, its files named from anywhere. Raises BadFile, UnknownName."""
+        path, table = camera_table(self.camera)
+        table.setdefault("name", path.stem)
+        for section in table.values():
+            for key, value in section.items() if isinstance(section, dict) else ():
+                if isinstance(value, str) and Path(value).suffix and (path.parent / value).is_file():
+                    section[key] = str((path.parent / value).resolve())
+        for name, value in self.changes.items():
+            control = CONTROLS[name]
+            section = table.setdefault(control.section, {})
+            if control.item is not None:
+                section[control.key] = _long(section.get(control.key, control.default), control)
+                section[control.key][control.item] = value
+            else:
+                section[control.key] = value
+        return table
+
+    def built(self) -> Camera:
+        """The camera. Raises what `open_camera` does."""
+        return camera_of(camera_table(self.camera)[0], self.table())
+
+    def toml(self) -> str:
+        """The camera file."""
+        import tomli_w
+
+        return tomli_w.dumps(self.table())
+
+    def command(self, scene: str, file: str = "camera.toml") -> str:
+        """The command line that makes what is shown, with the camera's file beside it."""
+        words = ["gpusim", "simulate", scene, "--camera", file]
+        for option, value in (("--light", self.light), ("--luminance", self.luminance), ("--tolerance", self.asked)):
+            words += [] if value is None else [option, f"{value:g}" if isinstance(value, float) else str(value)]
+        return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
+
+    @property
+    def asked(self) -> str | None:
+        """The tolerance as a Simulator takes it."""
+        return None if self.tolerance == "exact" else self.tolerance
+
+    def link(self) -> str:
+        """All of it as text, for an address: `State.of_link` reads it."""
+        return json.dumps({key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
+                          separators=(",", ":"))
+
+    @classmethod
+    def of_link(cls, text: str, camera: str) -> "State":
+        """Of a link of somebody's, or of an older page. camera: where it names none. Raises BadData."""
+        try:
+            if len(text) > LONGEST_LINK:
+                raise ValueError
+            found = {"camera": camera} | json.loads(text)
+            state = cls(**found)
+            known = (state.tolerance in TOLERANCES and state.view in VIEWS and isinstance(state.changes, dict)
+                     and state.changes.keys() <= CONTROLS.keys() and isinstance(state.camera, str)
+                     and all(isinstance(number, int) and 0 <= number < 2**32 for number in (state.seed, state.frame)))
+        except (ValueError, TypeError):
+            known = False
+        if not known:
+            raise BadData("link: not one of this preview's; wanted one that its page made")
+        # a link may come from anybody: it names no files of this machine
+        return replace(state, camera=camera) if Path(state.camera).suffix else state
+
+
+def _long(given, control):
+    """A list with a place for a control's item."""
+    return [*given, *control.default[len(given) :]]
+
+
+_DEFAULTS = {key: value for key, value in asdict(State("")).items() if key != "camera"}
+
+
+class History:
+    """States, one after the other, and where among them one is."""
+
+    def __init__(self, state: State):
+        self._states, self._at, self._last = [state], 0, ("", 0.0)
+
+    @property
+    def state(self) -> State:
+        """The present one."""
+        return self._states[self._at]
+
+    def set(self, state: State, by: str):
+        """Go on to another state; the movements of one slider, `by` its name, are one step until it rests."""
+        last, then = self._last
+        if by and by == last and monotonic() - then < REST and self._at:
+            self._states[self._at :] = [state]
+        else:
+            self._states = [*self._states[: self._at + 1][-MOST_STEPS:], state]
+            self._at = len(self._states) - 1
+        self._last = by, monotonic()
+
+    def undo(self) -> bool:
+        """Go a step back; whether there was one."""
+        return self._go(-1)
+
+    def redo(self) -> bool:
+        """Go a step forth; whether there was one."""
+        return self._go(1)
+
+    def _go(self, step):
+        self._last = "", 0.0
+        if not 0 <= self._at + step < len(self._states):
+            return False
+        self._at += step
+        return True

@@ -1,0 +1,188 @@
+"""The preview in a browser: sliders, pictures, what is saved, clients that misbehave."""
+
+import json
+import subprocess
+import sys
+from urllib.parse import quote
+
+import numpy as np
+import pytest
+from browsers import browser, marked, newer, opened, serving, version
+
+pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
+SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory, chromium):
+    with serving(*SCENE, folder=tmp_path_factory.mktemp("preview")) as (found, _):
+        yield found
+
+
+def number(page, name, value):
+    """Type a number into a control's field."""
+    before = version(page)
+    field = page.locator(f'input[data-mark="{name} number"]')
+    field.fill(str(value))
+    field.press("Enter")
+    return before
+
+
+def open_group(page, name):
+    page.get_by_text(name, exact=True).first.click()
+    page.wait_for_timeout(400)
+
+
+def text(page, name):
+    return marked(page, name).inner_text()
+
+
+def shown(page):
+    """Pixels of the canvas, (rows, cols, 3)."""
+    found = page.evaluate("""async () => {
+        const canvas = document.querySelector("canvas"), copy = document.createElement("canvas");
+        copy.width = canvas.width; copy.height = canvas.height;
+        const paper = copy.getContext("2d"); paper.drawImage(canvas, 0, 0);
+        return [copy.height, copy.width, ...paper.getImageData(0, 0, copy.width, copy.height).data];
+    }""")
+    return np.array(found[2:], np.uint8).reshape(found[0], found[1], 4)[..., :3]
+
+
+def test_a_slider_changes_the_picture_and_undo_takes_it_back(chromium, address):
+    page = opened(chromium, address)
+    before = number(page, "sensor.exposure_time_ms", 20)
+    newer(page, before)
+    bright = shown(page).mean()
+    newer(page, number(page, "sensor.exposure_time_ms", 5))
+    dark = shown(page).mean()
+    assert dark < 0.8 * bright
+    before = version(page)
+    marked(page, "undo").click()
+    newer(page, before)
+    assert abs(shown(page).mean() - bright) < 0.05 * bright
+    assert page.locator('input[data-mark="sensor.exposure_time_ms number"]').input_value() == "20"
+    before = version(page)
+    page.keyboard.press("Control+y")
+    newer(page, before)
+    assert abs(shown(page).mean() - dark) < 0.05 * dark
+    slider = page.locator('[data-mark="optics.f_number"]')
+    slider.locator("[tabindex]").first.focus()
+    before = version(page)
+    page.keyboard.press("ArrowRight")
+    newer(page, before)
+    assert not page.errors
+    page.close()
+
+
+def test_settings_that_cannot_be_keep_the_picture_and_say_why(chromium, address):
+    page = opened(chromium, address)
+    number(page, "optics.f_number", -3)
+    marked(page, "error").filter(has_text="f_number").wait_for(timeout=10000)
+    assert shown(page).std() > 10  # the last good picture
+    assert "f_number" in page.locator(".q-field__messages").filter(has_text="f_number").first.inner_text()
+    newer(page, number(page, "optics.f_number", 4))
+    page.wait_for_function("""document.querySelector('[data-mark="error"]').innerText === ''""")
+    page.close()
+
+
+def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_path):
+    """Bit for bit in raw: the frame that stands still, its camera and the command line beside it."""
+    page = opened(chromium, address)
+    for name, value in (("optics.f_number", 2.8), ("sensor.exposure_time_ms", 30), ("optics.zernike_waves.10", 0.1)):
+        newer(page, number(page, name, value))
+    open_group(page, "Noise")
+    newer(page, number(page, "noise.read_e", 7))
+    before = version(page)
+    marked(page, "live").click()
+    newer(page, before)
+    page.wait_for_function("gpusimPainted.at(-1)[3] === 1")  # without loss
+    still, frame = shown(page), page.evaluate("gpusimPainted.at(-1)[1]")
+    for entry, name in (("save camera", "camera.toml"), ("save .npz", "shown.npz"), ("save .png", "shown.png")):
+        marked(page, "save").click()
+        with page.expect_download(timeout=30000) as download:
+            marked(page, entry).click()
+        download.value.save_as(tmp_path / name)
+    from PIL import Image
+
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "shown.png")), still)
+    marked(page, "save").click()
+    marked(page, "show link").click()
+    command = marked(page, "command").inner_text()
+    assert command.splitlines()[0].startswith("gpusim simulate colorchecker --camera camera.toml")
+    link = marked(page, "link").inner_text().splitlines()[0]
+    arguments = command.splitlines()[0].split()[2:-2]
+    subprocess.run([sys.executable, "-m", "gpusim", "simulate", *arguments, "--size", "320x200", "--device", "opencl",
+                    "--frames", str(frame + 1), "-o", "made.npz"], cwd=tmp_path, check=True, capture_output=True)
+    made = tmp_path / ("made.npz" if frame == 0 else f"made_{frame:04d}.npz")
+    with np.load(made) as own, np.load(tmp_path / "shown.npz") as saved:
+        assert {*own} == {*saved}
+        for part in own:
+            assert np.array_equal(own[part], saved[part]), part
+    other = opened(chromium, address + link)
+    other.wait_for_function("gpusimPainted.length > 0 && gpusimPainted.at(-1)[3] === 1", timeout=20000)
+    assert np.array_equal(shown(other), still)
+    for one in (page, other):
+        assert not one.errors
+        one.close()
+
+
+def test_every_view_is_shown(chromium, address):
+    page = opened(chromium, address)
+    seen = []
+    for key in "1234":
+        before = version(page)
+        page.locator("body").press(key)
+        if key != "1":
+            newer(page, before)
+        page.wait_for_timeout(300)
+        seen.append(shown(page).astype(float))
+    assert abs(seen[3].mean() - 127) < 8 and seen[3].std() > 5  # noise about its mean
+    assert seen[1].std() > 5 and seen[2].std() > 5
+    page.close()
+
+
+def test_numbers_of_the_light_are_in_sight(chromium, address):
+    page = opened(chromium, address)
+    box = page.locator("canvas").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    marked(page, "pixel").filter(has_text="SNR").wait_for(timeout=10000)
+    assert " e-" in text(page, "pixel") and "predicted error" in text(page, "known") and "fps" in text(page, "known")
+    assert "left out" in text(page, "left out")
+    assert page.locator("svg polyline").count() == 3
+    page.close()
+
+
+def test_clients_have_their_own_cameras(chromium, address):
+    one, other = (opened(chromium, address) for _ in range(2))
+    newer(one, number(one, "sensor.exposure_time_ms", 1))
+    newer(other, number(other, "sensor.exposure_time_ms", 40))
+    assert shown(one).mean() < 0.5 * shown(other).mean()
+    again = opened(chromium, one.url)  # the same address is the same client, as after a connection was lost
+    assert abs(shown(again).mean() - shown(one).mean()) < 3
+    one.context.set_offline(True)
+    one.wait_for_timeout(500)
+    one.context.set_offline(False)
+    before = one.evaluate("gpusimPainted.at(-1)[0]")
+    one.wait_for_function(f"gpusimPainted.at(-1)[0] > {before} + 500", timeout=20000)
+    for page in (one, other, again):
+        page.close()
+
+
+def test_a_phone_shows_the_page_without_scrolling_sideways(chromium, address):
+    page = opened(chromium, address, width=390, height=844)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.close()
+
+
+def test_links_of_strangers_are_refused_in_a_line(chromium, address):
+    page = chromium.new_page()
+    for link in ("{", json.dumps({"view": "moon"}), json.dumps({"changes": {"optics.secret": 1}}), "[" * 9000):
+        page.goto(f"{address}/?state={quote(link)}")
+        page.get_by_text("link: not one of this preview's").wait_for(timeout=10000)
+    page.close()

@@ -1,0 +1,67 @@
+"""How fast the preview is, seen from the browser: 1280x720 on two processor cores."""
+
+import numpy as np
+import pytest
+from browsers import browser, marked, opened, serving
+
+pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
+pytestmark = pytest.mark.slow
+SECONDS, MOVES = 6, 20
+# control -> least pictures a second while it is moved, most milliseconds from a move to its picture: median, 95 %
+MOVED = {"noise.read_e": (30, 90, 160), "sensor.exposure_time_ms": (30, 90, 160), "processor.denoise": (30, 90, 160),
+         "optics.f_number": (12, 180, 280), "optics.defocus_um": (12, 180, 280)}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("preview")
+    with browser() as chromium, serving("deadleaves", "--camera", "phone", "--size", "1280x720", "--exposure", "20ms",
+                                        "--device", "opencl", folder=folder) as (address, _):
+        made = opened(chromium, address)
+        made.wait_for_timeout(3000)
+        for group in ("Noise", "Processor"):
+            made.get_by_text(group, exact=True).first.click()
+        made.wait_for_timeout(1000)
+        yield made
+        made.close()
+
+
+def painted(page):
+    """Times [ms], numbers, versions and kinds of what was painted last, (n, 4)."""
+    return np.array(page.evaluate("gpusimPainted"), float)
+
+
+def test_live_noise(page):
+    first = len(painted(page))
+    page.wait_for_timeout(1000 * SECONDS)
+    found = painted(page)[first:, 0]
+    rate = 1e3 * (len(found) - 1) / np.ptp(found)
+    print(f"live noise: {rate:.1f} fps, 95 % of the gaps below {np.percentile(np.diff(found), 95):.0f} ms")
+    assert rate >= 30
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_a_moved_slider(page, name):
+    """Keys that move it, one every 30 ms, and the pictures meanwhile; then single moves, each until it is seen."""
+    least, median, most = MOVED[name]
+    slider = marked(page, name)
+    slider.scroll_into_view_if_needed()
+    slider.locator("[tabindex]").first.focus()
+    first, versions = len(painted(page)), painted(page)[-1, 2]
+    for k in range(int(SECONDS / 0.03)):
+        page.keyboard.press("ArrowRight" if k % 40 < 20 else "ArrowLeft")
+        page.wait_for_timeout(25)
+    found = painted(page)[first:]
+    rate, changes = 1e3 * (len(found) - 1) / np.ptp(found[:, 0]), len({*found[:, 2]} - {versions})
+    waits = []
+    for k in range(MOVES):
+        page.wait_for_timeout(400 + 13 * k)
+        before, now = painted(page)[-1, 2], page.evaluate("performance.now()")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function(f"gpusimPainted.at(-1)[2] > {before}", timeout=10000, polling="raf")
+        seen = painted(page)
+        waits.append(seen[seen[:, 2] > before][0, 0] - now)
+    print(f"{name}: {rate:.1f} fps of {changes} settings, a move is seen after {np.median(waits):.0f} ms, 95 % "
+          f"{np.percentile(waits, 95):.0f} ms")
+    assert rate >= least and changes / SECONDS >= min(least, 12)
+    assert np.median(waits) <= median and np.percentile(waits, 95) <= most

@@ -1,0 +1,285 @@
+"""A client's session: what is sent when, what is kept, and who is let in."""
+
+import asyncio
+import io
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gpusim as gs
+from gpusim.backends import open_device
+from gpusim.cli import main
+from gpusim.data.cameras import camera_of, camera_table, open_camera
+from gpusim.domain.errors import BadData, GpusimError
+from gpusim.preview import session as module
+from gpusim.preview.cli import require_port
+from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, VIEWS
+from gpusim.preview.guard import Guard
+from gpusim.preview.producer import Picture, Producer
+from gpusim.preview.session import IN_FLIGHT, Session
+from gpusim.preview.state import History, State
+
+simplejpeg = pytest.importorskip("simplejpeg", reason="pip install gpusim[preview]")
+SCENE = gs.chart("colorchecker", size=(48, 32))
+STATE = State("phone", tolerance="exact", is_live=False)
+
+
+class Fake:
+    """Pictures of one grey that say their number; refuses f-number 13, and takes a while where it is told to."""
+
+    def __init__(self):
+        self.made = []
+
+    def picture(self, state, number):
+        if state.changes.get("optics.f_number") == 13:
+            raise GpusimError("optics.f_number = 13: unlucky")
+        if state.changes.get("optics.f_number") == 14:
+            raise RuntimeError("the GPU has fallen off\nthe bus")
+        self.made.append((state, number))
+        return Picture(np.full((8, 8, 3), number % 256, np.uint8), number, 1.0)
+
+
+class Client:
+    """Receives frames and acknowledges them where it is told to."""
+
+    def __init__(self, reads=True):
+        self.frames, self.reads, self.acks = [], reads, asyncio.Queue()
+
+    async def send(self, data):
+        self.frames.append((*struct.unpack("<III", data[:12]), data[12:]))
+        if self.reads:
+            self.acks.put_nowait(1)
+
+    async def acknowledged(self):
+        return await self.acks.get()
+
+
+def run(scenario):
+    """A scenario of coroutines with a session and its client."""
+    async def whole():
+        session, client = Session(Fake(), STATE), Client()
+        serving = asyncio.ensure_future(session.serve(client.send, client.acknowledged))
+        try:
+            await asyncio.wait_for(scenario(session, client), 30)
+        finally:
+            serving.cancel()
+
+    asyncio.run(whole())
+
+
+async def until(what):
+    while not what():
+        await asyncio.sleep(0.01)
+
+
+def test_a_picture_that_stands_still_comes_once_and_then_without_loss():
+    async def scenario(session, client):
+        await until(lambda: len(client.frames) == 2)
+        assert [frame[2] for frame in client.frames] == [module.JPEG, module.PNG]
+        image = np.asarray(Image.open(io.BytesIO(client.frames[1][3])))
+        assert np.array_equal(image, session.shown.codes)
+        await asyncio.sleep(0.5)
+        assert len(client.frames) == 2 and len(session.producer.made) == 1  # nothing is made that nobody waits for
+
+    run(scenario)
+
+
+def test_live_noise_has_a_new_number_each_time():
+    async def scenario(session, client):
+        session.set(replace(STATE, is_live=True))
+        await until(lambda: len(client.frames) > 12)
+        numbers = [frame[0] for frame in client.frames if frame[2] == module.JPEG]
+        assert len({*numbers[1:]}) == len(numbers) - 1
+        assert session.rate > 0 and session.latency > 0
+
+    run(scenario)
+
+
+def test_a_client_that_does_not_read_has_two_frames_in_flight():
+    async def scenario(session, client):
+        client.reads = False
+        session.set(replace(STATE, is_live=True))
+        await asyncio.sleep(0.5)
+        assert len(client.frames) == IN_FLIGHT == 2
+        client.acks.put_nowait(1)
+        await until(lambda: len(client.frames) == 3)
+        await asyncio.sleep(0.1)
+        assert len(client.frames) == 3
+        for _ in range(10_000):  # acknowledgements of frames that never were
+            client.acks.put_nowait(1)
+        client.acks.put_nowait(1)
+        await asyncio.sleep(0.3)
+        assert len(session._waits) <= module.COUNTED
+        count = len(client.frames)
+        await asyncio.sleep(0.3)
+        assert len(client.frames) <= count + IN_FLIGHT
+
+    run(scenario)
+
+
+def test_the_newest_settings_win():
+    """What is set while a picture is made is not made one after the other."""
+    async def scenario(session, client):
+        await until(lambda: client.frames)
+        for k in range(200):
+            session.set(replace(STATE, changes={"sensor.analog_gain": 1 + k / 100}), "sensor.analog_gain")
+        await until(lambda: client.frames[-1][1] == 200)
+        assert len(session.producer.made) < 20
+        assert session.producer.made[-1][0].changes["sensor.analog_gain"] == 1 + 199 / 100
+        assert session.history.undo() and session.state == STATE  # one slider's movements are one step
+
+    run(scenario)
+
+
+@pytest.mark.parametrize(("number", "words"), [(13, "optics.f_number = 13: unlucky"),
+                                               (14, "the device fails: the GPU has fallen off the bus")])
+def test_the_last_good_picture_stays(number, words):
+    async def scenario(session, client):
+        await until(lambda: len(client.frames) == 2)
+        good = session.shown
+        session.set(replace(STATE, changes={"optics.f_number": number}))
+        await until(lambda: session.error)
+        assert session.error.replace("\\n", " ") == words and session.shown is good
+        await asyncio.sleep(0.4)
+        assert len(client.frames) == 2
+        session.set(STATE)
+        await until(lambda: len(client.frames) == 4)
+        assert not session.error
+
+    run(scenario)
+
+
+def test_a_producer_makes_what_a_simulator_does():
+    """After any changes, one after the other: raw values and codes, bit for bit."""
+    producer, random = Producer(SCENE, open_device("opencl")), np.random.default_rng(5)
+    state = STATE
+    for _ in range(12):
+        control = list(CONTROLS.values())[random.integers(len(CONTROLS))]
+        table = camera_table("phone")[1]
+        value = (control.choices[random.integers(len(control.choices))] if control.choices else
+                 float(control.low + (control.high - control.low) * random.random() ** 3))
+        if control.key == "object_distance_m":
+            value = max(value, 0.2)
+        changed = replace(state, changes={**state.changes, control.name: value}, light=LIGHTS[random.integers(4)],
+                          luminance=float(random.integers(10, 1000)))
+        try:
+            made = producer.picture(changed, 3)
+        except GpusimError:
+            continue  # one that cannot be, which the page says
+        state = changed
+        frame = producer.frame(state, 3)
+        assert np.array_equal(made.codes, frame.rgb), control.name
+        assert state.value(control, table) == value
+        own = producer.picture(state, 3)
+        assert np.array_equal(own.codes, made.codes)
+    assert len(state.changes) > 5
+
+
+def test_saved_files_make_the_same_camera(tmp_path):
+    changes = {"optics.f_number": 2.8, "optics.zernike_waves.7": 0.2, "sensor.exposure_time_ms": "auto",
+               "optics.object_distance_m": float("inf"), "processor.shading": True}
+    state = State("phone", changes)
+    (tmp_path / "camera.toml").write_text(state.toml())
+    saved, own = open_camera(tmp_path / "camera.toml"), state.built()
+    assert repr(saved) == repr(own) and saved.optics.wavefront.zernike[7] == 0.2
+    # files that a camera names are found from anywhere
+    (tmp_path / "qe.csv").write_text("wavelength_nm,Y\n400,0.5\n700,0.6\n")
+    (tmp_path / "own.toml").write_text('[optics]\nf_number = 2\nfocal_length_mm = 4\n[sensor]\npixel_pitch_um = 2\n'
+                                       'full_well_e = 5000\nbits = 10\n'
+                                       'qe = "qe.csv"\ncfa = ["Y"]\n[processor]\ncolor = "none"\n')
+    other = State(str(tmp_path / "own.toml"), {"optics.f_number": 5.6})
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "camera.toml").write_text(other.toml())
+    assert open_camera(tmp_path / "far" / "camera.toml").optics.f_number == 5.6
+
+
+def test_a_link_has_all_settings():
+    state = State("mono", {"noise.read_e": 3.5}, "A", 20.0, "1e-3", "noise", False, 7, 11)
+    assert State.of_link(state.link(), "phone") == state
+    assert State.of_link("{}", "phone") == State("phone")
+    for text in ("", "3", '{"view":"x"}', '{"seed":-1}', '{"seed":true,"x":1}', '{"changes":[1]}', "{" * 9000):
+        with pytest.raises(BadData, match=r"^link: not one of this preview's"):
+            State.of_link(text, "phone")
+    # nor does it read files
+    assert State.of_link('{"camera":"/etc/passwd.toml"}', "phone").camera == "phone"
+
+
+def test_undo_and_redo():
+    history = History(STATE)
+    states = [replace(STATE, seed=seed) for seed in range(1, 4)]
+    for state in states:
+        history.set(state, "")
+    assert history.undo() and history.undo() and history.state == states[0]
+    assert history.redo() and history.state == states[1]
+    history.set(STATE, "")
+    assert not history.redo() and history.undo() and history.state == states[1]
+    assert history.undo() and history.undo() and not history.undo() and history.state == STATE
+
+
+def test_every_control_is_of_a_camera_file():
+    """Its key is known there, in its unit, at both ends of its range and as what it has by default."""
+    for control in CONTROLS.values():
+        path, table = camera_table("phone")
+        for value in control.choices or (control.low, control.high, control.off):
+            state = State("phone", {control.name: value} if value is not None else {})
+            try:
+                camera_of(path, state.table())
+            except GpusimError as error:
+                assert "unknown" not in str(error) and control.key.split("_")[0] in str(error), error
+        assert State("phone").value(control, table) is not None
+    assert {*VIEWS} == {"rendered", "raw", "electrons", "noise"} and len(GROUPS) == 5
+
+
+@pytest.mark.parametrize(("heads", "is_own"), [
+    ({"host": "127.0.0.1:8080"}, True), ({"host": "localhost:9000"}, True), ({"host": "[::1]:80"}, True),
+    ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:8080"}, True),
+    ({"host": "evil.example:8080"}, False), ({}, False), ({"host": "127.0.0.1@evil.example"}, False),
+    ({"host": "127.0.0.1:8080", "origin": "http://evil.example"}, False), ({"host": "[::1"}, False),
+    ({"host": "127.0.0.1:8080", "origin": "null"}, False),
+    ({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:9"}, False)])
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
+    sent, entered = [], []
+
+    async def inner(*_):
+        entered.append(1)
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": kind, "headers": [(name.encode(), value.encode()) for name, value in heads.items()]}
+    asyncio.run(Guard(inner)(scope, None, send))
+    assert bool(entered) == is_own
+    if not is_own:
+        assert sent[0].get("status", sent[0].get("code")) in (403, 1008)
+
+
+@pytest.mark.parametrize(("asked", "words"), [
+    (["none.png"], "none.png"), (["moon"], "unknown scene 'moon'"),
+    (["flat", "--tolerance", "1e-7"], "unknown --tolerance of a preview '1e-7'"),
+    (["flat", "--port", "0"], "--port"), (["flat", "--f-number", "2", "--camera", "none"], "unknown camera 'none'"),
+    (["flat", "--host", "198.51.100.7"], "a free port of an address of this machine"),
+    (["flat", "--iso", "800"], "the gain of the page's slider")])
+def test_what_cannot_be_shown_is_said_in_a_line(asked, words, capsys):
+    pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
+    asked = asked if "--camera" in asked else [*asked, "--camera", "phone"]
+    try:
+        status = main(["preview", *asked, "--device", "numpy"])
+    except SystemExit as stopped:
+        status = stopped.code
+    said = capsys.readouterr().err
+    assert status == 2 and words in said and "Traceback" not in said and len(said.splitlines()) == 1
+
+
+def test_a_port_that_is_taken_is_named():
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(GpusimError, match=f"127.0.0.1:{port}: allowed is a free port"):
+            require_port("127.0.0.1", port)
