@@ -33,7 +33,7 @@ def mark(name: str) -> str:
     return f'data-mark="{name}"'
 
 
-class Picture(ui.element, component="picture.js"):
+class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # where there is no NiceGUI
     """The canvas. url: of its websocket. width, height: of the frames [pixel]."""
 
     def __init__(self, url: str, width: int, height: int):
