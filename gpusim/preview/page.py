@@ -21,7 +21,7 @@ from gpusim.preview.state import State
 PLACES = 1000  # of a slider
 OWN = "the scene's"
 LEFT = 600.0  # [s] that a session without a page is kept
-MOST_SESSIONS = 64
+MOST_SESSIONS = 16  # each holds its scene on the device
 COLOURS = {"R": "#e05050", "G": "#40b050", "B": "#5070e0"}
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
@@ -304,8 +304,8 @@ class Page:
             return
         try:
             found = await session.computed(session.producer.statistics, session.state, self._at)
-        except GpusimError:
-            return  # the picture says it
+        except Exception:
+            return  # the picture says it, also of a device that fails
         self._fields["histogram"].content = histogram(found)
         if pixel := found.get("pixel"):
             self._fields["pixel"].text = (f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "

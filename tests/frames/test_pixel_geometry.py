@@ -303,7 +303,7 @@ def test_the_sampling_error_knows_rectangles_and_places():
     q, weights, share = BANDS / 550 * 0.8, np.ones((1, 3)), np.ones(1)
 
     class Ideal:
-        def quick(self, q, aperture, rows, cols, finer):
+        def of(self, q, aperture, rows, cols, finer):
             return airy(q, aperture, rows, cols, device="numpy")
 
     def error(aperture, displacement):
