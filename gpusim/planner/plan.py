@@ -65,6 +65,7 @@ class Plan:
     far: what the world beyond the blur's reach is left to; None: it is not seen.
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then. probed: which scene's probes told the others, or why the plan was made anew.
+    is_draft: whether it was made for another lens, see `gpusim.planner.draft`: the account is of that.
     """
 
     scene: Scene
@@ -101,6 +102,7 @@ class Plan:
     tolerance: Tolerance | None = None
     far: FarField | None = None
     tiling: Tiling | None = None
+    is_draft: bool = False
 
     @cached_property
     def front(self) -> tuple[Candidate, ...]:

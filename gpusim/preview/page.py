@@ -26,6 +26,12 @@ COLOURS = {"R": "#e05050", "G": "#40b050", "B": "#5070e0"}
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
 FORMATS = (".png", ".dng", ".exr", ".npz")
+# A control that glides to its new place has the page laid out and painted at every refresh of the screen
+STYLE = """
+.q-slider *, .q-field, .q-field *, .q-checkbox *, .q-focus-helper {
+    transition: none !important; animation: none !important;
+}
+"""
 
 
 def mark(name: str) -> str:
@@ -86,6 +92,7 @@ class Page:
         """Make the page's elements."""
         ui.page_title(f"gpusim: {self._title}")
         ui.dark_mode(True)
+        ui.add_css(STYLE)
         ui.query("body").classes("bg-neutral-900")
         with ui.row(wrap=True).classes("w-full items-start gap-4 p-2"):
             with ui.column().classes("grow basis-[640px] min-w-[280px] gap-2"):
@@ -295,7 +302,8 @@ class Page:
         self._fields["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
             f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  "
-            f"predicted error {facts['error']:.2g} rms{verdict}")
+            + ("draft: its error is not predicted" if facts["draft"] else
+               f"predicted error {facts['error']:.2g} rms{verdict}"))
         self._fields["left out"].text = "\n".join(["left out:", *facts["left out"]] if facts["left out"] else [])
 
     async def _statistics(self):

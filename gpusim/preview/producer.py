@@ -40,16 +40,17 @@ class Producer:
         self._tolerance: str | None = None
         self._lit: tuple = (None, None, scene)
 
-    def picture(self, state: State, number: int) -> Picture:
-        """A frame of a state. Raises what the camera, the scene's light and the simulation do."""
+    def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
+        """A frame of a state. drafts: see `Program.update`. Raises what the camera, the light and the simulation do."""
         begun = time.perf_counter()
-        program = self._updated(state)
+        program = self._updated(state, drafts)
         show = {"rendered": self._rendered, "raw": self._raw, "electrons": self._electrons, "noise": self._noise}
         codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
         account, exposure = program.account, program.exposure
         plan = program.plan
-        facts = {"error": account.total.rms, "left out": plan.left_out,
-                 "verdict": None if state.asked is None else account.verdict(program.simulator.tolerance).met,
+        tolerance = None if plan.is_draft else program.simulator.tolerance
+        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft,
+                 "verdict": None if tolerance is None else account.verdict(tolerance).met,
                  "exposure": exposure.exposure_time, "gain": exposure.gain}
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
@@ -64,7 +65,7 @@ class Producer:
         counts: of some of the pixels, in BINS from 0 to `full well`, of each channel's letter. at: row and column, or
         None. Raises as `picture`.
         """
-        program = self._updated(state)
+        program = self._updated(state, drafts=True)
         exposure, sensor = program.exposure, program.exposure.camera.sensor
         mean = exposure.layered(self._on_host(exposure.mean))
         full = float(sensor.saturation)
@@ -80,7 +81,7 @@ class Producer:
                               "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9))}
         return found
 
-    def _updated(self, state):
+    def _updated(self, state, drafts):
         last, camera = self._built
         if last is None or camera is None or (last.camera, last.changes) != (state.camera, state.changes):
             camera = state.built()
@@ -90,14 +91,14 @@ class Producer:
             self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(scene)
             self._tolerance = state.tolerance
         changes = {}
-        if camera is not self._program.simulator.camera:
+        if camera is not self._program.simulator.camera or (not drafts and self._program.plan.is_draft):
             changes["camera"] = camera
         if scene is not self._program.scene:
             changes["scene"] = scene
         if changes:
             before = self._program.simulator.camera, self._program.scene
             try:
-                self._program.update(**changes)
+                self._program.update(**changes, drafts=drafts)
                 self._program.exposure  # noqa: B018  what is wrong is said now
             except Exception:
                 self._program.update(camera=before[0], scene=before[1])

@@ -15,7 +15,7 @@ from gpusim.preview.state import History, State
 
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
-STILL = 0.3  # [s] without a change after which a picture that stands still is sent without loss
+STILL = 0.3  # [s] without a change after which pictures are no drafts, and one that stands still is sent without loss
 COUNTED = 30  # frames of which rate and latency are told
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
@@ -33,7 +33,8 @@ class Session:
         self.error = ""
         self.begun: float | None = None  # when the picture that is being made was begun
         self.used = time.monotonic()
-        self._changed = asyncio.Event()
+        self._touched = -STILL  # when the settings were changed last
+        self._changed = asyncio.Event()  # settings, or a frame was painted
         self._painted: deque[float] = deque(maxlen=COUNTED)
         self._waits: deque[float] = deque(maxlen=COUNTED)
 
@@ -50,8 +51,13 @@ class Session:
     def touch(self):
         """Something has changed: another picture is wanted."""
         self.version += 1
-        self.used = time.monotonic()
+        self.used = self._touched = time.monotonic()
         self._changed.set()
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the settings have just been changed."""
+        return time.monotonic() - self._touched < STILL
 
     @property
     def rate(self) -> float:
@@ -71,7 +77,6 @@ class Session:
     async def serve(self, send, acknowledged):
         """Send frames as they are wanted. send: coroutine of bytes; acknowledged: coroutine that waits for a paint."""
         begun: deque[float] = deque()
-        room = asyncio.Event()
 
         async def listen():
             while True:
@@ -79,25 +84,30 @@ class Session:
                 if begun:  # more acknowledgements than frames say nothing
                     self._waits.append(time.monotonic() - begun.popleft())
                     self._painted.append(time.monotonic())
-                room.set()
+                self._changed.set()
 
         async def push():
             sent = -1
             while True:
-                while len(begun) >= IN_FLIGHT:
-                    room.clear()
-                    await room.wait()
-                if sent == self.version and (self.error or not self.state.is_live):
-                    if not await self._changes(sent, STILL):
-                        await self._settled(sent, send, begun)
-                        await self._changes(sent)
-                    continue
-                start, version = time.monotonic(), self.version
-                data = await self._made(version)
-                sent = version
-                if data:
+                version, kind, most = self.version, JPEG, IN_FLIGHT
+                if sent == version:
+                    if not self._moves:
+                        most = 1  # noise alone is new: what is changed next is not to wait behind it
+                    if self.error or not self.state.is_live:
+                        if self.error or await self._changes(version, STILL):
+                            await self._changes(version)
+                            continue
+                        kind = PNG
+                start = time.monotonic()
+                data = await self._made(version, kind)
+                while data and len(begun) >= most and self.version == version:
+                    await self._change()
+                if data and len(begun) < most:  # else there are newer settings
                     begun.append(start)
                     await send(data)
+                sent = version
+                if kind == PNG:
+                    await self._changes(version)
 
         tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(push())]
         try:
@@ -111,21 +121,18 @@ class Session:
     async def _changes(self, version, within=None):
         """Whether the settings go on from a version, within so many seconds."""
         while self.version == version:
-            self._changed.clear()
             try:
-                await asyncio.wait_for(self._changed.wait(), within)
+                await asyncio.wait_for(self._change(), within)
             except TimeoutError:
                 return False
         return True
 
-    async def _settled(self, version, send, begun):
-        """Send the picture that stands still without loss."""
-        if not self.error and self.shown is not None:
-            data = await self.computed(_png, self.shown)
-            begun.append(time.monotonic())
-            await send(HEAD.pack(self.shown.number, version % 2**32, PNG) + data)
+    async def _change(self):
+        """Wait for other settings, or for a paint."""
+        self._changed.clear()
+        await self._changed.wait()
 
-    async def _made(self, version):
+    async def _made(self, version, kind):
         """A frame's bytes; none where the settings make no picture, and the last one stays."""
         state = self.state
         if state.is_live:
@@ -134,7 +141,7 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, data = await self.computed(self._pictured, state, self.number)
+            shown, data = await self.computed(self._pictured, state, self.number, kind)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -144,12 +151,17 @@ class Session:
         finally:
             self.begun = None
         self.shown, self.error = shown, ""
-        return HEAD.pack(shown.number, version % 2**32, JPEG) + data
+        return HEAD.pack(shown.number, version % 2**32, kind) + data
 
-    def _pictured(self, state, number):
+    def _pictured(self, state, number, kind):
         import simplejpeg
 
-        shown = self.producer.picture(state, number)
+        if kind == PNG:
+            shown = self.shown
+            if shown is None or shown.facts.get("draft"):
+                shown = self.producer.picture(state, number)
+            return shown, _png(shown)
+        shown = self.producer.picture(state, number, drafts=self._moves)
         return shown, simplejpeg.encode_jpeg(shown.codes, QUALITY, "RGB", "420", fastdct=True)
 
 

@@ -12,6 +12,7 @@ from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.planner.after import probed
 from gpusim.planner.border import BORDER_REACH
+from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts
 from gpusim.planner.models import highlights, spectral
 from gpusim.planner.plan import Plan, plan
@@ -37,6 +38,11 @@ def planned_by(camera: Camera, asked: Tolerance | None) -> tuple:
     noise = (sensor.exposure_time, sensor.saturation, sensor.read_sigma) if in_sigma else ()
     return (camera.optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.qe, sensor.cfa,
             sensor.channels, sensor.stacked, sensor.microlens, sensor.vignetting, sensor.binning, noise)
+
+
+def drafted_by(camera: Camera) -> tuple:
+    """What drafts depend on beside the scene: all of that but what is turned at a lens."""
+    return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
 
 
 def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,

@@ -15,6 +15,7 @@ from gpusim.kernels.sensor.chip import retime as retime_chip
 from gpusim.kernels.sensor.collect import retime as retime_collect
 from gpusim.kernels.spectral.survey import survey
 from gpusim.planner.after import holds
+from gpusim.planner.draft import drafted
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import rendering, without_tone
@@ -22,7 +23,7 @@ from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
 from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
-from gpusim.program.planning import planned_by, probed_by
+from gpusim.program.planning import drafted_by, planned_by, probed_by
 from gpusim.program.probing import Probing
 from gpusim.program.reading import WHOLE, Reading, looked_at_there
 from gpusim.program.shots import Shots
@@ -101,18 +102,21 @@ class Program:
         self._operates: tuple[float, float] | None = None  # what was metered for this frame, from update to update
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
+        self._drafts = False
 
-    def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME) -> "Program":
+    def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME, drafts: bool = False) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
 
-        Raises as Simulator does, and keeps what it was then.
+        drafts: while a lens is turned, use the plan for where it stood, see `gpusim.planner.draft`; `plan.is_draft`
+        says so, and its errors are not predicted. An update without it plans again. Raises as Simulator does, and keeps
+        what it was then.
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
         self.scene, self._operates = scene, None
-        self.simulator, self._exposure_time = simulator, seconds
+        self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
         return self
 
     @property
@@ -126,6 +130,8 @@ class Program:
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         seconds, probing = self._exposure_time, before.probing
+        if (draft := self._draft()) is not None:
+            return draft
         is_other = by is not None and not (by is camera or same(planned_by(by, asked), planned_by(camera, asked)))
         if plan is None or is_other or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds):
             if is_other:
@@ -136,7 +142,17 @@ class Program:
                 simulator.plan(scene, facts, seconds, least), probed=words))
             probing.planned(plan)
         before.plan = plan, camera
-        return plan
+        return self._draft() or plan
+
+    def _draft(self):
+        """A draft by the plan that is there; None where none is wanted, none will do, or it would save nothing."""
+        camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
+        if not self._drafts or plan is None or plan.scene is not self.scene or not same(
+                drafted_by(by), drafted_by(camera)):
+            return None
+        if camera.optics.is_symmetric and same(by.optics, camera.optics):
+            return None
+        return self.before.kept("draft", (One(plan), One(camera)), lambda: drafted(plan, camera))
 
     def _does(self):
         """Whether the plan does, by what the last scene told and, now and then, by exact values of this one.

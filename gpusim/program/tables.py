@@ -1,6 +1,10 @@
 """Transfer tables of a camera's lens, integrated over its pixels."""
 
+from dataclasses import replace
+from math import ceil
+
 import numpy as np
+import scipy
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
@@ -8,10 +12,13 @@ from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.lens import spread_radius, wavelength_nodes
 from gpusim.optics.psf import psf_tables
 from gpusim.optics.tables import transfer_tables
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
+
+SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
 class LensTables:
@@ -35,6 +42,8 @@ class LensTables:
         """Transfer tables (groups, planes, ...) of the plan, kept for the next frame of the same kind."""
         assert plan.mix is not None  # a plan with blur
         name = f"transfer {plan.mix.shape}"  # those of its wavelengths beside those of a plan
+        if plan.is_draft and (short := self._short(plan)):
+            return self._kept("drafted", (short, self._key(plan)), lambda: self._widened(plan, short))
         return self._kept(name, self._key(plan), lambda: self._near(plan, self.combined(plan, self.all_bands(plan))))
 
     def _near(self, plan, tables):
@@ -42,6 +51,34 @@ class LensTables:
         if plan.far is None:
             return tables
         return near(tables, plan.far.energies(plan.transfers), plan.far.sigmas, plan.period, device=self.device)
+
+    def _short(self, plan):
+        """A period that holds most of the light of points, where a CPU would be long at the tables of the plan's; or 0.
+
+        The rest of the light, which falls as 1 / r^3 and so is some q / SHORT of all, is put elsewhere in it.
+        """
+        if self.device.is_gpu or self.camera.optics.is_symmetric or plan.far is not None or plan.transfers is None:
+            return 0
+        pitch = self.grid(plan.scene.samples_per_pixel)[0]
+        wide = 4 * spread_radius(self.camera.optics, plan.scene.wavelengths, pitch)
+        short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
+        return short if 2 * short <= min(plan.period) else 0
+
+    def _widened(self, plan, short):
+        """Tables of the plan's period from those of a short one and of a few wavelengths: kernels amid zeros."""
+        rows, cols = plan.period
+        nodes, between = wavelength_nodes(plan.q)  # q goes with the wavelength
+        few = replace(plan, q=nodes, transfers=plan.transfers @ between, period=(short, short))
+        tables = self.device.numpy(self.combined(few, self.all_bands(few)))
+        kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
+        middle = short // 2
+        wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
+        wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]
+        along = scipy.fft.rfft(wide, workers=-1)
+        tables = np.zeros((*along.shape[:-2], rows, along.shape[-1]), np.complex64)
+        tables[..., :middle, :], tables[..., -middle:, :] = along[..., :middle, :], along[..., middle:, :]
+        tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
+        return self.device.array(tables.view(np.float32))
 
     def _key(self, plan):
         """What the tables of a plan are made of."""

@@ -79,7 +79,7 @@ def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], 
                 if number == lead or program is None:
                     program = simulator.update(camera).program(scene, meters_late=meters, **operation)
                 else:
-                    other = {} if camera is program.simulator.camera else {"camera": camera}
+                    other: dict[str, Any] = {} if camera is program.simulator.camera else {"camera": camera}
                     program.update(scene=scene, **other, **operation)
                 made = _made(program, number, seed, output)  # unwanted, too, for what the next one takes of it
                 if number in wanted:

@@ -113,9 +113,9 @@ def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_pat
     assert np.array_equal(np.asarray(Image.open(tmp_path / "shown.png")), still)
     marked(page, "save").click()
     marked(page, "show link").click()
-    command = marked(page, "command").inner_text()
+    command = marked(page, "command").locator("code").inner_text()
     assert command.splitlines()[0].startswith("gpusim simulate colorchecker --camera camera.toml")
-    link = marked(page, "link").inner_text().splitlines()[0]
+    link = marked(page, "link").locator("code").inner_text().splitlines()[0]
     arguments = command.splitlines()[0].split()[2:-2]
     subprocess.run([sys.executable, "-m", "gpusim", "simulate", *arguments, "--size", "320x200", "--device", "opencl",
                     "--frames", str(frame + 1), "-o", "made.npz"], cwd=tmp_path, check=True, capture_output=True)

@@ -33,13 +33,14 @@ class Fake:
     def __init__(self):
         self.made = []
 
-    def picture(self, state, number):
+    def picture(self, state, number, drafts=False):
         if state.changes.get("optics.f_number") == 13:
             raise GpusimError("optics.f_number = 13: unlucky")
         if state.changes.get("optics.f_number") == 14:
             raise RuntimeError("the GPU has fallen off\nthe bus")
         self.made.append((state, number))
-        return Picture(np.full((8, 8, 3), number % 256, np.uint8), number, 1.0)
+        is_draft = drafts and "optics.f_number" in state.changes
+        return Picture(np.full((8, 8, 3), number % 256, np.uint8), number, 1.0, {"draft": is_draft})
 
 
 class Client:
@@ -87,6 +88,21 @@ def test_a_picture_that_stands_still_comes_once_and_then_without_loss():
     run(scenario)
 
 
+def test_what_stands_still_is_no_draft():
+    async def scenario(session, client):
+        await until(lambda: len(client.frames) == 2)
+        session.set(replace(STATE, changes={"optics.f_number": 4.0}), "optics.f_number")
+        await until(lambda: len(client.frames) == 3)
+        assert session.shown.facts["draft"]
+        await until(lambda: len(client.frames) == 4)
+        assert not session.shown.facts["draft"] and client.frames[3][2] == module.PNG
+        session.set(replace(STATE, changes={"optics.f_number": 5.0}, is_live=True), "optics.f_number")
+        await until(lambda: session.shown.facts["draft"])
+        await until(lambda: not session.shown.facts["draft"])  # live noise has no end
+
+    run(scenario)
+
+
 def test_live_noise_has_a_new_number_each_time():
     async def scenario(session, client):
         session.set(replace(STATE, is_live=True))
@@ -99,15 +115,22 @@ def test_live_noise_has_a_new_number_each_time():
 
 
 def test_a_client_that_does_not_read_has_two_frames_in_flight():
+    """One of live noise, and one of what was changed since."""
     async def scenario(session, client):
-        client.reads = False
         session.set(replace(STATE, is_live=True))
         await asyncio.sleep(0.5)
-        assert len(client.frames) == IN_FLIGHT == 2
+        client.reads, first = False, len(client.frames)
+        await asyncio.sleep(0.2)
+        assert len(client.frames) == first + 1
+        for k in range(5):
+            session.set(replace(STATE, is_live=True, changes={"sensor.analog_gain": 1.0 + k}))
+            await asyncio.sleep(0.1)
+        assert IN_FLIGHT == 2 and len(client.frames) == first + 2
         client.acks.put_nowait(1)
-        await until(lambda: len(client.frames) == 3)
+        await until(lambda: len(client.frames) == first + 3)
+        assert client.frames[-1][1] == session.version
         await asyncio.sleep(0.1)
-        assert len(client.frames) == 3
+        assert len(client.frames) == first + 3
         for _ in range(10_000):  # acknowledgements of frames that never were
             client.acks.put_nowait(1)
         client.acks.put_nowait(1)
@@ -176,6 +199,20 @@ def test_a_producer_makes_what_a_simulator_does():
         own = producer.picture(state, 3)
         assert np.array_equal(own.codes, made.codes)
     assert len(state.changes) > 5
+
+
+def test_drafts_are_near_the_picture_and_leave_no_trace():
+    scene = gs.chart("deadleaves", size=(320, 256))
+    producer, state = Producer(scene, open_device("opencl")), replace(STATE, tolerance="1e-3")
+    producer.picture(state, 0)
+    for name, value in (("optics.f_number", 2.2), ("optics.defocus_um", 3.0), ("optics.object_distance_m", 2.0),
+                        ("optics.zernike_waves.10", 0.02)):
+        changed = replace(state, changes={"sensor.exposure_time_ms": 20.0, name: value})
+        draft = producer.picture(changed, 3, drafts=True)
+        assert draft.facts["draft"] and draft.facts["verdict"] is None
+        settled, frame = producer.picture(changed, 3), producer.frame(changed, 3)
+        assert not settled.facts["draft"] and np.array_equal(settled.codes, frame.rgb)
+        assert np.abs(draft.codes.astype(int) - settled.codes).mean() < 0.5
 
 
 def test_saved_files_make_the_same_camera(tmp_path):

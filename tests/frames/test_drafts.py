@@ -1,0 +1,90 @@
+"""While a lens is turned the plan for where it stood is used: how near that comes, and when it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cameras import camera_with
+
+import gpusim as gs
+from gpusim.domain.pupil import Wavefront
+
+BASE = camera_with(gs.open_camera("phone"), sensor={"exposure_time": 0.01})
+TOLERANCE = 1e-3
+
+
+def zernike(**places):
+    """Waves of terms in Noll's order."""
+    terms = np.zeros(11)
+    for name, waves in places.items():
+        terms[{"defocus": 3, "astigmatism": 5, "coma": 7, "spherical": 10}[name]] = waves
+    return {"wavefront": Wavefront(zernike=tuple(terms))}
+
+
+TURNS = {  # from, to, of the optics
+    "wider": ({}, {"f_number": 1.5}),
+    "narrower": ({}, {"f_number": 2.4}),
+    "large": ({"f_number": 8.0}, {"f_number": 6.5}),
+    "defocus": ({"defocus": 4e-6}, {"defocus": 7e-6}),
+    "into focus": ({"defocus": 3e-6}, {"defocus": 0.0}),
+    "nearer": ({"object_distance": 2.0}, {"object_distance": 0.8}),
+    "spherical": (zernike(spherical=0.05), zernike(spherical=0.06)),
+    "coma": (zernike(coma=0.1), zernike(coma=0.13)),
+    "astigmatism": (zernike(astigmatism=0.2), zernike(astigmatism=0.15)),
+}
+
+
+def numpy(program):
+    return np.array(program.simulator.device.numpy(program.exposure.mean), np.float64)
+
+
+@pytest.mark.parametrize("kind", ["deadleaves", "points"])
+@pytest.mark.parametrize("name", TURNS)
+def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
+    """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.
+
+    The truth is the exact frame, of every wavelength and of one transform, by which no draft is made.
+    """
+    before, after = (camera_with(BASE, optics=turned) for turned in TURNS[name])
+    scene = gs.chart(kind, size=(360, 288))
+    program = gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene)
+    old = numpy(program).copy()
+    draft = numpy(program.update(camera=after, drafts=True)).copy()
+    assert program.plan.is_draft and program.plan.verdict is None
+    truth = numpy(gs.Simulator(after, device="opencl").program(scene))
+    wrong, turned = (np.sqrt(np.mean((found - truth) ** 2)) for found in (draft, old))
+    assert wrong <= (2 * TOLERANCE * truth.mean() if kind == "deadleaves" else turned / 5)
+    settled = numpy(program.update(camera=after))
+    assert not program.plan.is_draft
+    assert np.array_equal(settled, numpy(gs.Simulator(after, device="opencl", tolerance=TOLERANCE).program(scene)))
+    again = numpy(program.update(camera=before))
+    assert np.array_equal(again, numpy(gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene)))
+
+
+@pytest.mark.parametrize("change", [
+    {"optics": {"f_number": 8.0}},  # too wide for the tiles
+    {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
+    {"optics": zernike(coma=0.1)},  # no longer the same at every angle
+    {"optics": {"model": "none"}},
+    {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
+])
+def test_what_has_no_draft_is_planned(change):
+    scene = gs.chart("deadleaves", size=(120, 96))
+    program = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).program(scene)
+    program.exposure  # noqa: B018
+    camera = camera_with(BASE, **change)
+    found = numpy(program.update(camera=camera, drafts=True))
+    assert not program.plan.is_draft or not camera.optics.is_symmetric
+    program.update(camera=camera)
+    assert np.array_equal(numpy(program), numpy(
+        gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).program(scene)))
+    assert found.shape == scene.shape
+
+
+def test_another_scene_ends_a_draft():
+    first, second = (gs.chart("deadleaves", size=(120, 96), seed=seed) for seed in (1, 2))
+    program = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).program(first)
+    program.exposure  # noqa: B018
+    turned = replace(BASE, optics=replace(BASE.optics, f_number=2.0))
+    program.update(camera=turned, scene=second, drafts=True)
+    assert not program.plan.is_draft
