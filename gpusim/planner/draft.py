@@ -13,7 +13,8 @@ from gpusim.planner.plan import Plan
 
 WIDER, ROOM = 1.5, 0.25  # times as wide a blur or as narrow, and that much beside [sample]: tiles and planes still do
 
-TURNED: dict[str, Any] = {"f_number": 8.0, "object_distance": np.inf, "defocus": 0.0, "wavefront": Wavefront()}  # what may be other
+TURNED: dict[str, Any] = {  # what may be other
+    "f_number": 8.0, "object_distance": np.inf, "defocus": 0.0, "wavefront": Wavefront()}
 
 
 def drafted(plan: Plan, camera: Camera) -> Plan | None:
