@@ -3,8 +3,9 @@
 import socket
 
 from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
-from gpusim.options import add_asked, operated, scene_of, whole
+from gpusim.options import add_asked, operated, whole
 from gpusim.preview.guard import LOOPBACK
+from gpusim.video.asked import add_moving, moving
 
 
 class Missing(GpusimError):
@@ -14,11 +15,12 @@ class Missing(GpusimError):
 def add_command(commands):
     """Add `preview` to the subparsers of `gpusim`; its default `run` is `preview`."""
     parser = commands.add_parser("preview", help="a page on this machine: move a slider, see the camera change")
-    add_asked(parser)
+    add_asked(parser, several=True)
+    add_moving(parser)
     parser.add_argument("--port", type=whole(1, 65535), default=8080, help="of the page (default: 8080)")
     parser.add_argument("--host", default="127.0.0.1", help="address at which the page is served; another than this "
                         "machine's own lets all of its network move the sliders (default: 127.0.0.1)")
-    parser.set_defaults(run=preview)
+    parser.set_defaults(run=preview, seed=0, flicker=None, pwm=None, blur=False)
 
 
 def preview(arguments) -> int:
@@ -31,17 +33,20 @@ def preview(arguments) -> int:
     from gpusim.data.cameras import open_camera
     from gpusim.preview.controls import TOLERANCES
     from gpusim.preview.guard import Guard
-    from gpusim.preview.page import mount, producer_of
+    from gpusim.preview.page import mount
+    from gpusim.preview.producer import Producer
     from gpusim.preview.state import State
 
     tolerance = arguments.tolerance or "1e-3"  # in parts of the light: a plan stands where noise and exposure change
     if tolerance not in TOLERANCES:
         raise UnknownName("--tolerance of a preview", tolerance, TOLERANCES)
-    scene, device = scene_of(arguments), open_device(arguments.device)
+    scenes, device = moving(arguments), open_device(arguments.device)
+    first = next(scenes.between(0, 1))
     operated(open_camera(arguments.camera), arguments)  # said before the page
     require_port(arguments.host, arguments.port)
     state = State(arguments.camera, _changes(arguments), tolerance=tolerance)
-    mount(lambda: producer_of(scene, device), state, scene.name, scene.shape, arguments.scene)
+    period = 0.0 if scenes.is_still else float(1 / arguments.fps)
+    mount(lambda: Producer(scenes, device, period), state, first.name, first.shape, " ".join(arguments.scene))
     hosts = LOOPBACK if arguments.host in LOOPBACK else (*LOOPBACK, arguments.host)
     app.add_middleware(Guard, hosts=hosts)
     if arguments.host not in LOOPBACK:

@@ -9,12 +9,14 @@ from math import isfinite, log
 from pathlib import Path
 from typing import Any
 
-from nicegui import app, ui
+from nicegui import app, run, ui
 
 from gpusim.data.cameras import camera_names, camera_table
 from gpusim.domain.errors import GpusimError
 from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, TOLERANCES, VIEWS, Control
-from gpusim.preview.producer import Producer
+from gpusim.preview.crop import enlarged
+from gpusim.preview.curves import histogram, response
+from gpusim.preview.measures import SPAN
 from gpusim.preview.session import Session
 from gpusim.preview.state import State
 
@@ -22,9 +24,9 @@ PLACES = 1000  # of a slider
 OWN = "the scene's"
 LEFT = 600.0  # [s] that a session without a page is kept
 MOST_SESSIONS = 16  # each holds its scene on the device
-COLOURS = {"R": "#e05050", "G": "#40b050", "B": "#5070e0"}
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
+QUIET = "text-sm text-neutral-300 font-mono"
 FORMATS = (".png", ".dng", ".exr", ".npz")
 # A control that glides to its new place has the page laid out and painted at every refresh of the screen
 STYLE = """
@@ -87,6 +89,9 @@ class Page:
         self._turned = ""  # the control that was moved last
         self._refused = ""  # one beside which a reason stands
         self._table: dict = {}
+        self._width = shape[1]  # of the picture on the screen [pixel]
+        self._held: tuple | None = None  # where the button went down: row and column of the canvas, and the crop then
+        self._edge: tuple[slice, slice] | None = None  # the part of the picture whose edge is measured
 
     def build(self):
         """Make the page's elements."""
@@ -96,8 +101,9 @@ class Page:
         ui.query("body").classes("bg-neutral-900")
         with ui.row(wrap=True).classes("w-full items-start gap-4 p-2"):
             with ui.column().classes("grow basis-[640px] min-w-[280px] gap-2"):
-                self._build_picture()
                 self._build_known()
+                self._build_picture()
+                self._build_measures()
             with ui.column().classes("w-full max-w-[420px] gap-1"):
                 self._build_top()
                 for name, controls in GROUPS.items():
@@ -113,25 +119,58 @@ class Page:
     def _build_picture(self):
         rows, cols = self._shape
         with ui.element("div").classes("relative w-full"):
-            Picture(f"/picture/{self._token}", cols, rows)
+            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on("size", self._on_size)
             with ui.element("div").classes("absolute inset-0"):  # of its own: the image is placed relative to itself
-                ui.interactive_image(size=(cols, rows), events=["mousemove"], on_mouse=self._on_mouse)
+                self._fields["overlay"] = ui.interactive_image(
+                    size=(cols, rows), events=["mousedown", "mousemove", "mouseup"], on_mouse=self._on_mouse).on(
+                    "wheel.prevent", lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1), ["deltaY"],
+                    throttle=0.1).props(mark("overlay"))
         with ui.row().classes("w-full items-center gap-2"):
             self._fields["view"] = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value)).props(
                 "dense no-caps").props(mark("view"))
-            self._fields["live"] = ui.switch("live noise", on_change=lambda event: self._live(event.value)).props(
-                mark("live"))
-            ui.button(icon="undo", on_click=self._undo).props("flat dense").tooltip("undo (Ctrl+Z)").props(mark("undo"))
-            ui.button(icon="redo", on_click=self._redo).props("flat dense").tooltip("redo (Ctrl+Y)").props(mark("redo"))
+            self._fields["live"] = ui.switch("play" if self._is_moving else "live noise", on_change=lambda event: (
+                self._live(event.value))).props(mark("live"))
+            self._button("undo", "undo (Ctrl+Z)", self._undo)
+            self._button("redo", "redo (Ctrl+Y)", self._redo)
+            self._button("zoom_out", "smaller (-)", lambda: self._zoom(-1))
+            self._button("zoom_in", "larger, without loss (+); drag to move", lambda: self._zoom(1))
+            self._fields["measure"] = ui.switch("edge").props(mark("measure")).tooltip(
+                "drag over a slanted edge: its frequency response (ISO 12233)")
+            ui.button("error map", on_click=self._error_map).props("flat dense no-caps").props(mark("error map"))
+        with ui.row().classes("w-full items-center gap-2"):
+            if self._is_moving:
+                self._button("skip_previous", "frame before (,)", lambda: self._step(-1))
+                self._button("skip_next", "next frame (.)", lambda: self._step(1))
+                self._fields["frame"] = ui.slider(min=0, max=self.session.producer.frames - 1, on_change=lambda event: (
+                    self._scrub(event.value))).classes("grow max-w-[300px]").props('aria-label="frame"').props(
+                    mark("frame"))
+            ui.button("set B", on_click=self._set_other).props("flat dense no-caps").props(mark("set B")).tooltip(
+                "keep this camera as B, and compare others with it")
+            self._fields["swap"] = ui.button("swap A and B", on_click=self._swap).props("flat dense no-caps").props(
+                mark("swap"))
+            self._fields["drop"] = ui.button("no B", on_click=lambda: self._set(against=None)).props(
+                "flat dense no-caps").props(mark("no B"))
+            self._fields["split"] = ui.slider(min=0, max=PLACES, on_change=lambda event: self._set(
+                "split", split=event.value / PLACES)).classes("w-40").props('aria-label="A | B"').props(mark("split"))
+
+    def _button(self, icon, words, does):
+        ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"').tooltip(words).props(mark(icon))
+
+    @property
+    def _is_moving(self):
+        return self.session.producer.period > 0
 
     def _build_known(self):
-        self._fields["error"] = ui.label().classes("text-red-400 whitespace-pre-wrap").props(mark("error"))
-        self._fields["busy"] = ui.label().classes("text-amber-400").props(mark("busy"))
-        self._fields["known"] = ui.label().classes("text-sm text-neutral-300 font-mono").props(mark("known"))
-        self._fields["pixel"] = ui.label().classes("text-sm text-neutral-300 font-mono").props(mark("pixel"))
-        self._fields["histogram"] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
-        self._fields["left out"] = ui.label().classes("text-xs text-neutral-400 whitespace-pre-wrap").props(
-            mark("left out"))
+        for name, classes in (("error", "text-red-400"), ("busy", "text-amber-400"), ("known", QUIET),
+                              ("left out", "text-xs text-neutral-400")):
+            self._fields[name] = ui.label().classes(f"{classes} whitespace-pre-wrap").props(mark(name))
+
+    def _build_measures(self):
+        for name in ("pixel", "histogram", "difference", "edge", "response"):
+            if name in ("histogram", "response"):
+                self._fields[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
+            else:
+                self._fields[name] = ui.label().classes(QUIET).props(mark(name))
 
     def _build_top(self):
         with ui.row().classes("w-full items-center gap-2"):
@@ -220,6 +259,22 @@ class Page:
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
 
+    def _step(self, step):
+        self._set(is_live=False, frame=(self.session.number + step) % self.session.producer.frames)
+
+    def _scrub(self, number):
+        if number is not None and number != self.session.number:
+            self._set("frame", is_live=False, frame=int(number))
+
+    def _set_other(self):
+        state = self.session.state
+        self._set(against={"camera": state.camera, "changes": state.changes})
+
+    def _swap(self):
+        state = self.session.state
+        if state.against:
+            self._set(**state.against, against={"camera": state.camera, "changes": state.changes})
+
     def _undo(self):
         if self.session.history.undo():
             self.session.touch()
@@ -239,15 +294,87 @@ class Page:
             self._live(not self.session.state.is_live)
         elif event.key.name in "1234" and not event.modifiers.ctrl:
             self._set(view=VIEWS[int(event.key.name) - 1])
+        elif event.key.name in ("+", "-"):
+            self._zoom(1 if event.key.name == "+" else -1)
+        elif event.key.name in (",", ".") and self._is_moving:
+            self._step(1 if event.key.name == "." else -1)
 
     def _on_mouse(self, event):
-        self._at = int(event.image_y), int(event.image_x)
+        place = event.image_y, event.image_x
+        row, col = self._at = self._seen(*place)
+        if event.type == "mousedown":
+            self._held = *place, self.session.crop
+        if self._held is None or not (event.buttons or event.type == "mouseup"):
+            self._held = None
+            return
+        y, x, crop = self._held
+        if self._fields["measure"].value:
+            top, left = self._seen(y, x)
+            self._edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
+            self._draw_edge()
+        elif crop is not None:
+            down, right = ((then - now) * own / n for then, now, own, n in zip(
+                (y, x), place, (crop.rows, crop.cols), self._shape, strict=True))
+            self._cut(crop.moved(round(down), round(right), self._shape))
+        if event.type == "mouseup":
+            self._held = None
+
+    def _seen(self, y, x):
+        """Row and column of the frame at a place of the canvas, whose size is said to be the frame's."""
+        crop = self.session.crop
+        top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+        return tuple(min(max(start + int(place * own / n), 0), n - 1) for start, place, own, n in zip(
+            (top, left), (y, x), (rows, cols), self._shape, strict=True))
+
+    def _on_size(self, event):
+        self._width = int(event.args["width"])
+
+    def _zoom(self, step):
+        self._cut(enlarged(self.session.crop, step, self._at or tuple(n // 2 for n in self._shape), self._shape,
+                           self._width))
+
+    def _cut(self, crop):
+        if crop != self.session.crop:
+            self.session.crop = crop
+            self._fields["picture"].style(f"image-rendering: {'pixelated' if crop else 'auto'}")
+            self.session.touch()
+            self._draw_edge()
+
+    def _draw_edge(self):
+        """The rectangle of the measured edge on the canvas, whose size is said to be the frame's."""
+        crop, shown = self.session.crop, ""
+        if self._edge is not None:
+            top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+            (y, high), (x, wide) = (((part.start - start) * n / own, (part.stop - part.start) * n / own)
+                                    for part, start, own, n in zip(self._edge, (top, left), (rows, cols), self._shape,
+                                                                   strict=True))
+            shown = (f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
+                     f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>')
+        self._fields["overlay"].content = shown
+
+    async def _error_map(self):
+        session = self.session
+        ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
+        try:
+            compared = await session.computed(session.producer.error, session.state, session.number)
+            codes, error = await run.io_bound(compared)
+        except GpusimError as error:
+            ui.notify(str(error), type="negative")
+            return
+        from PIL import Image
+
+        with ui.dialog(value=True), ui.card().classes("max-w-none").props(mark("error dialog")):
+            ui.label(f"mean electrons less their truth: {error.rms:.2g} rms, {error.p999_sigma:.2g} of a pixel's noise "
+                     f"at 99.9 %, {error.max_sigma:.2g} at most; full red is {SPAN:g} rms too much, full blue less")
+            ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
 
     # what the page shows
 
     def _follow(self, only=""):
         """Put the settings into the controls. only: the one that was moved, where no other can have changed."""
         state = self.session.state
+        if only in ("split", "frame"):
+            return
         if only not in CONTROLS:
             try:
                 _, self._table = camera_table(state.camera)
@@ -263,6 +390,11 @@ class Page:
             for name, value in (("view", state.view), ("live", state.is_live), ("camera", state.camera),
                                 ("tolerance", state.tolerance), ("light", state.light or OWN)):
                 self._fields[name].value = value
+            for name in ("swap", "drop", "split"):
+                self._fields[name].visible = state.against is not None
+            self._fields["split"].value = PLACES * state.split
+            if self._is_moving:
+                self._fields["frame"].value = state.frame
         finally:
             self._setting = False
 
@@ -297,6 +429,10 @@ class Page:
         shown = session.shown
         if shown is None:
             return
+        if self._is_moving and session.state.is_live:
+            self._setting = True
+            self._fields["frame"].value = shown.number
+            self._setting = False
         facts = shown.facts
         verdict = {None: "", True: " (met)", False: " (NOT met)"}[facts["verdict"]]
         self._fields["known"].text = (
@@ -304,20 +440,28 @@ class Page:
             f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  "
             + ("draft: its error is not predicted" if facts["draft"] else
                f"predicted error {facts['error']:.2g} rms{verdict}"))
-        self._fields["left out"].text = "\n".join(["left out:", *facts["left out"]] if facts["left out"] else [])
+        self._fields["left out"].text = f"left out: {'; '.join(facts['left out']) or 'nothing'}"
 
     async def _statistics(self):
         session = self.session
         if session.shown is None or session.error:
             return
+        part = self._edge if self._fields["measure"].value else None
         try:
-            found = await session.computed(session.producer.statistics, session.state, self._at)
+            found = await session.computed(session.producer.statistics, session.state, session.shown.number, self._at,
+                                           part)
         except Exception:
             return  # the picture says it, also of a device that fails
         self._fields["histogram"].content = histogram(found)
         if pixel := found.get("pixel"):
             self._fields["pixel"].text = (f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
                                           f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB")
+        self._fields["difference"].text = (f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
+                                           if "difference" in found else "")
+        edge = found.get("edge", {})
+        self._fields["edge"].text = edge.get("why", "") if "mtf50" not in edge else (
+            f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees")
+        self._fields["response"].content = response(edge) if "mtf50" in edge else ""
 
     # what is saved
 
@@ -346,22 +490,6 @@ class Page:
             ui.label("The same on the command line, with the camera saved beside it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
-
-
-def histogram(found: dict) -> str:
-    """Counts of the electrons of each channel, from 0 to full well, as a picture for the page."""
-    counts = {letter: [count**0.5 for count in bins] for letter, bins in found["counts"].items()}
-    most = max((max(bins) for bins in counts.values()), default=0.0) or 1.0
-    lines = []
-    for letter, bins in counts.items():
-        step = 400 / len(bins)
-        points = " ".join(f"{step * (k + 0.5):.1f},{80 - 76 * count / most:.1f}" for k, count in enumerate(bins))
-        lines.append(f'<polyline points="{points}" fill="none" stroke="{COLOURS.get(letter, "#ccc")}"/>')
-    text = (f'<text x="2" y="94" fill="#aaa" font-size="10">0 e-</text><text x="398" y="94" fill="#aaa" font-size="10" '
-            f'text-anchor="end">full well {found["full well"]:.4g} e-</text><text x="200" y="94" fill="#aaa" '
-            f'font-size="10" text-anchor="middle">black level {found["black level"]:.4g} DN</text>')
-    return (f'<svg viewBox="0 0 400 98" style="width:100%;background:#171717">{"".join(lines)}{text}'
-            '<line x1="0" y1="80" x2="400" y2="80" stroke="#555"/></svg>')
 
 
 def _saved(producer, state, number, suffix):
@@ -415,8 +543,3 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
             pass  # it has gone
 
     return sessions
-
-
-def producer_of(scene, device) -> Producer:
-    """A client's own, on the device that all of them share."""
-    return Producer(scene, device)

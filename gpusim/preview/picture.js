@@ -40,6 +40,7 @@ const work = () => {
 
 export default {
   template: `<canvas style="display:block;width:100%;height:auto"></canvas>`,
+  emits: ["size"],
   props: { url: String, width: Number, height: Number },
   mounted() {
     this.$el.width = this.width;
@@ -52,10 +53,15 @@ export default {
     };
     const scheme = location.protocol === "https:" ? "wss://" : "ws://";
     const url = scheme + location.host + (window.path_prefix || "") + this.url;
+    this.observer = new ResizeObserver(() =>
+      this.$emit("size", { width: Math.round(this.$el.clientWidth * devicePixelRatio) }),
+    );
+    this.observer.observe(this.$el);
     const canvas = this.$el.transferControlToOffscreen();
     this.worker.postMessage({ canvas, url }, [canvas]);
   },
   unmounted() {
     this.worker.terminate();
+    this.observer.disconnect();
   },
 };

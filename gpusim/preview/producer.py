@@ -1,23 +1,26 @@
 """Pictures of a scene by a client's camera: what a slider touches is computed anew, the rest is kept."""
 
 import time
-from dataclasses import dataclass, field
-from math import log10
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
-from gpusim.domain.raw_noise import RawNoise
-from gpusim.domain.scene import Scene
+from gpusim.domain.errors import BadData
 from gpusim.frame import Frame
 from gpusim.io.scenes import relit
+from gpusim.preview.measures import checker_of, edge, error_map, light, on_host
 from gpusim.preview.state import State
+from gpusim.report import Error
 from gpusim.simulator import Simulator
+from gpusim.truth import require_truth, seen
+from gpusim.video.scenes import Scenes
 
-BINS, SOME = 64, 60000  # of the histogram; pixels in it, about
 SPREAD = 4.0  # standard deviations of noise from black to white
 RAW_GAMMA = 2.2  # of the mosaic's picture
+NUMBERS = 2**32  # of frames of a scene that does not move
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +34,27 @@ class Picture:
 
 
 class Producer:
-    """A client's pictures of a scene. Used by one thread at a time, as all that share a device."""
+    """A client's pictures of scenes. Used by one thread at a time, as all that share a device.
 
-    def __init__(self, scene: Scene, device: Device):
-        self._scene, self._device = scene, device
+    period: least time between frames of scenes that move [s], 0 where they do not.
+    """
+
+    def __init__(self, scenes: Scenes, device: Device, period: float = 0.0):
+        self._scenes, self._device, self.period = scenes, device, period
+        self.frames = NUMBERS if scenes.is_still else scenes.count
         self._built: tuple[State | None, Camera | None] = None, None
         self._program = None
         self._tolerance: str | None = None
-        self._lit: tuple = (None, None, scene)
+        self._shown: tuple = (None, None)  # number and scene
+        self._arriving, self._next = scenes.between(0, 0), -1
+        self._lit: tuple = (None, None, None, None)
+        self._other: Producer | None = None
+        self._checker: tuple = (None, None)
 
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
         """A frame of a state. drafts: see `Program.update`. Raises what the camera, the light and the simulation do."""
         begun = time.perf_counter()
-        program = self._updated(state, drafts)
+        program = self._updated(state, number, drafts)
         show = {"rendered": self._rendered, "raw": self._raw, "electrons": self._electrons, "noise": self._noise}
         codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
         account, exposure = program.account, program.exposure
@@ -52,41 +63,68 @@ class Producer:
         facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft,
                  "verdict": None if tolerance is None else account.verdict(tolerance).met,
                  "exposure": exposure.exposure_time, "gain": exposure.gain}
+        if state.other is None:
+            self._other = None  # and what it has on the device
+        else:
+            self._other = self._other or Producer(self._scenes, self._device)
+            codes = _beside(codes, self._other.picture(state.other, number, drafts).codes, state.split)
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
     def frame(self, state: State, number: int) -> Frame:
         """A frame to be saved: of a simulator of its own, as `gpusim simulate` makes it. Raises as `picture`."""
         simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
-        return next(simulator.frames(self._scene_in(state), 1, seed=state.seed, first=number)).complete()
+        return next(simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)).complete()
 
-    def statistics(self, state: State, at: tuple[int, int] | None = None) -> dict:
-        """Histogram of the mean electrons, and what a pixel has.
+    def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
+        """Function that takes seconds, and any thread: map of the error of the mean electrons, and that error.
 
-        counts: of some of the pixels, in BINS from 0 to `full well`, of each channel's letter. at: row and column, or
-        None. Raises as `picture`.
+        The map is codes (rows, cols, 3). It is of the frame that is saved, which no draft is. Raises as `picture`, and
+        what `Simulator` with `verify` does; the function BadData for a large frame whose blur varies over the field.
         """
-        program = self._updated(state, drafts=True)
-        exposure, sensor = program.exposure, program.exposure.camera.sensor
-        mean = exposure.layered(self._on_host(exposure.mean))
-        full = float(sensor.saturation)
-        counts = {letter: np.histogram(np.minimum(values, full), BINS, (0, full))[0].tolist()
-                  for letter, values in _some(sensor, mean)}
-        found = {"counts": counts, "full well": full, "black level": float(sensor.dark_level)}
-        if at is not None and mean.ndim == 2:
-            y, x = (min(max(place, 0), n - 1) for place, n in zip(at, mean.shape, strict=True))
-            electrons, noise = float(mean[y, x]), RawNoise.of(sensor, program.simulator.readout.averaged)
-            sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
-            numbers = min(electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level)
-            found["pixel"] = {"row": y, "col": x, "electrons": electrons, "dn": float(numbers),
-                              "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9))}
+        simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
+        scene = self._scene_in(state, number)
+        require_truth(simulator.camera, scene)
+        exposure = simulator.expose(scene)
+        exposure = replace(exposure, mean=self._on_host(exposure.mean))
+
+        def compared():
+            mean, truth = seen(simulator, scene, exposure)
+            if mean.ndim == 1:
+                raise BadData("error map: of so large a frame whose blur varies over the field parts alone are known")
+            return error_map(mean, truth), Error.between(mean, truth, simulator.camera.sensor.read_sigma)
+
+        return compared
+
+    def statistics(self, state: State, number: int, at: tuple[int, int] | None = None,
+                   part: tuple[slice, slice] | None = None) -> dict:
+        """What is told beside the picture: see `gpusim.preview.measures`.
+
+        at: row and column of a pixel, part: rows and columns of an edge, or None. Raises as `picture`.
+        """
+        program = self._updated(state, number, drafts=True)
+        exposure = program.exposure
+        found = light(program, exposure.layered(self._on_host(exposure.mean)), at)
+        scene = program.scene
+        if self._checker[0] is not scene:
+            self._checker = scene, checker_of(scene)
+        checker = self._checker[1]
+        if part is None and checker is None:
+            return found
+        shots = program.shots
+        linear, rendering = shots.linear(shots.raw(state.seed, number))
+        linear = self._on_host(linear)
+        if part is not None:
+            found["edge"] = edge(linear, part)
+        if checker is not None and linear.shape[1:] == scene.shape:
+            found["difference"] = checker.difference(linear, rendering.diffuser, exposure.camera.display)
         return found
 
-    def _updated(self, state, drafts):
+    def _updated(self, state, number, drafts):
         last, camera = self._built
         if last is None or camera is None or (last.camera, last.changes) != (state.camera, state.changes):
             camera = state.built()
             self._built = state, camera
-        scene = self._scene_in(state)
+        scene = self._scene_in(state, number)
         if self._program is None or self._tolerance != state.tolerance:
             self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(scene)
             self._tolerance = state.tolerance
@@ -106,15 +144,23 @@ class Producer:
                 raise
         return self._program
 
-    def _scene_in(self, state):
-        light, luminance, scene = self._lit
-        if (light, luminance) != (state.light, state.luminance):
-            self._lit = state.light, state.luminance, relit(self._scene.name, self._scene, state.light, state.luminance)
-            scene = self._lit[2]
+    def _scene_in(self, state, number):
+        number = 0 if self._scenes.is_still else number % self._scenes.count
+        if self._shown[0] != number:
+            if number != self._next:
+                self._arriving, self._next = self._scenes.between(number, self._scenes.count), number
+            self._shown, self._next = (number, next(self._arriving)), number + 1
+        own = self._shown[1]
+        if state.light is None and state.luminance is None:
+            return own
+        light, luminance, last, scene = self._lit
+        if last is not own or (light, luminance) != (state.light, state.luminance):
+            scene = relit(own.name, own, state.light, state.luminance)
+            self._lit = state.light, state.luminance, own, scene
         return scene
 
     def _on_host(self, array):
-        return np.array(self._device.numpy(array))
+        return on_host(self._device, array)
 
     def _rendered(self, program, seed, number):
         return self._on_host(program.codes(seed=seed, frame=number))
@@ -140,17 +186,15 @@ class Producer:
         return _grey(np.uint8(255 * shown + 0.5))
 
 
-def _some(sensor, values):
-    """Channels' letters, and values of some of their pixels."""
-    if values.ndim == 3:
-        step = max(1, values[0].size // SOME)
-        return zip(sensor.channels, values.reshape(len(values), -1)[:, ::step], strict=True)
-    cfa = sensor.cfa_indices
-    high, wide = cfa.shape
-    step = max(1, round((values.size / SOME) ** 0.5))
-    return [(letter, np.concatenate([values[y :: high * step, x :: wide * step].ravel()
-                                     for y, x in np.argwhere(cfa == index)]))
-            for index, letter in enumerate(sensor.channels)]
+def _beside(codes, others, split):
+    """One picture on the left of a line, another on its right."""
+    if codes.shape != others.shape:
+        raise BadData(f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
+                      f"{codes.shape[1]}x{codes.shape[0]}, as this one's has")
+    at = round(split * codes.shape[1])
+    codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
+    codes[:, max(at - 1, 0) : at + 1] = 255
+    return codes
 
 
 def _mosaic(sensor, values):

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from gpusim.domain.errors import GpusimError, one_line
+from gpusim.preview.crop import Crop
 from gpusim.preview.producer import Picture, Producer
 from gpusim.preview.state import History, State
 
@@ -30,6 +31,7 @@ class Session:
         self.history, self.producer = History(state), producer
         self.version, self.number = 0, state.frame
         self.shown: Picture | None = None
+        self.crop: Crop | None = None  # what is shown of it; None: all
         self.error = ""
         self.begun: float | None = None  # when the picture that is being made was begun
         self.used = time.monotonic()
@@ -87,9 +89,9 @@ class Session:
                 self._changed.set()
 
         async def push():
-            sent = -1
+            sent, start = -1, 0.0
             while True:
-                version, kind, most = self.version, JPEG, IN_FLIGHT
+                version, settles, most = self.version, False, IN_FLIGHT
                 if sent == version:
                     if not self._moves:
                         most = 1  # noise alone is new: what is changed next is not to wait behind it
@@ -97,16 +99,18 @@ class Session:
                         if self.error or await self._changes(version, STILL):
                             await self._changes(version)
                             continue
-                        kind = PNG
+                        settles = True
+                    elif await self._changes(version, start + self.producer.period - time.monotonic()):
+                        continue
                 start = time.monotonic()
-                data = await self._made(version, kind)
+                data = await self._made(version, settles)
                 while data and len(begun) >= most and self.version == version:
                     await self._change()
                 if data and len(begun) < most:  # else there are newer settings
                     begun.append(start)
                     await send(data)
                 sent = version
-                if kind == PNG:
+                if settles:
                     await self._changes(version)
 
         tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(push())]
@@ -120,6 +124,8 @@ class Session:
 
     async def _changes(self, version, within=None):
         """Whether the settings go on from a version, within so many seconds."""
+        if within is not None and within <= 0:
+            return self.version != version
         while self.version == version:
             try:
                 await asyncio.wait_for(self._change(), within)
@@ -132,16 +138,16 @@ class Session:
         self._changed.clear()
         await self._changed.wait()
 
-    async def _made(self, version, kind):
+    async def _made(self, version, settles):
         """A frame's bytes; none where the settings make no picture, and the last one stays."""
-        state = self.state
+        state, crop = self.state, self.crop
         if state.is_live:
-            self.number = (self.number + 1) % 2**32
+            self.number = (self.number + 1) % self.producer.frames
         else:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, data = await self.computed(self._pictured, state, self.number, kind)
+            shown, kind, data = await self.computed(self._pictured, state, self.number, crop, settles)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -153,21 +159,21 @@ class Session:
         self.shown, self.error = shown, ""
         return HEAD.pack(shown.number, version % 2**32, kind) + data
 
-    def _pictured(self, state, number, kind):
+    def _pictured(self, state, number, crop, settles):
         import simplejpeg
 
-        if kind == PNG:
-            shown = self.shown
-            if shown is None or shown.facts.get("draft"):
-                shown = self.producer.picture(state, number)
-            return shown, _png(shown)
-        shown = self.producer.picture(state, number, drafts=self._moves)
-        return shown, simplejpeg.encode_jpeg(shown.codes, QUALITY, "RGB", "420", fastdct=True)
+        shown = self.shown
+        if not settles or shown is None or shown.facts.get("draft"):
+            shown = self.producer.picture(state, number, drafts=self._moves and not settles)
+        codes = shown.codes if crop is None else shown.codes[crop.part]
+        if settles or crop is not None:
+            return shown, PNG, _png(codes)
+        return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
 
 
-def _png(shown):
+def _png(codes):
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(shown.codes).save(file, "PNG", compress_level=1)
+    Image.fromarray(codes).save(file, "PNG", compress_level=1)
     return file.getvalue()

@@ -21,7 +21,9 @@ class State:
     """Settings. camera: a built-in one's name, or a file.
 
     changes: name of a control -> value in the camera file's unit. light, luminance [cd m-2]: of the scene, or None: its
-    own. tolerance: of TOLERANCES. view: of VIEWS. is_live: noise runs. seed, frame: of the noise that stands still.
+    own. tolerance: of TOLERANCES. view: of VIEWS. is_live: noise runs, and the scene where it moves. seed, frame: of
+    the noise, and the frame of a scene that moves, where they stand still. against: `camera` and `changes` of another
+    that is shown beside this one, from `split` of the width on; None: none is.
     """
 
     camera: str
@@ -33,6 +35,13 @@ class State:
     is_live: bool = True
     seed: int = 0
     frame: int = 0
+    against: dict[str, Any] | None = None
+    split: float = 0.5
+
+    @property
+    def other(self) -> "State | None":
+        """The same of the other camera, where there is one."""
+        return None if self.against is None else replace(self, **self.against, against=None)
 
     def value(self, control: Control, table: dict) -> Any:
         """What a control has: set, or in the camera file, or its default."""
@@ -94,14 +103,17 @@ class State:
                 raise ValueError
             found = {"camera": camera} | json.loads(text)
             state = cls(**found)
-            known = (state.tolerance in TOLERANCES and state.view in VIEWS and isinstance(state.changes, dict)
-                     and state.changes.keys() <= CONTROLS.keys() and isinstance(state.camera, str)
+            known = (state.tolerance in TOLERANCES and state.view in VIEWS and 0 <= state.split <= 1
+                     and all(isinstance(one.changes, dict) and one.changes.keys() <= CONTROLS.keys()
+                             and isinstance(one.camera, str) for one in (state, state.other or state))
                      and all(isinstance(number, int) and 0 <= number < 2**32 for number in (state.seed, state.frame)))
         except (ValueError, TypeError):
             known = False
         if not known:
             raise BadData("link: not one of this preview's; wanted one that its page made")
         # a link may come from anybody: it names no files of this machine
+        if state.against and Path(state.against.get("camera", "")).suffix:
+            state = replace(state, against=state.against | {"camera": camera})
         return replace(state, camera=camera) if Path(state.camera).suffix else state
 
 

@@ -158,6 +158,113 @@ def test_numbers_of_the_light_are_in_sight(chromium, address):
     page.close()
 
 
+def pointed(page, down, right):
+    """A place of the page over a part of the picture."""
+    box = marked(page, "overlay").bounding_box()
+    return box["x"] + right * box["width"], box["y"] + down * box["height"]
+
+
+def still(page):
+    """The picture as it is without loss, when it stands still."""
+    before = page.evaluate("gpusimPainted.length")
+    page.wait_for_function(f"gpusimPainted.length > {before} && gpusimPainted.at(-1)[3] === 1", timeout=20000)
+    page.wait_for_timeout(400)
+    return shown(page)
+
+
+def test_a_part_is_shown_without_loss_and_moved(chromium, address):
+    page = opened(chromium, address)
+    before = version(page)
+    marked(page, "live").click()
+    newer(page, before)
+    whole = still(page)
+    page.mouse.move(*pointed(page, 0.5, 0.5))
+    page.keyboard.press("+")
+    part = still(page)
+    rows, cols = part.shape[:2]
+    width = page.evaluate("Math.round(document.querySelector('canvas').clientWidth * devicePixelRatio)")
+    times = next(times for times in (1, 2, 4, 8, 16) if times * 320 > width)
+    assert cols == round(width / times)
+
+    def places(cut):
+        return [(y, x) for y in range(200 - rows + 1) for x in range(320 - cols + 1)
+                if np.array_equal(whole[y : y + rows, x : x + cols], cut)]
+
+    [(top, left)] = places(part)
+    assert abs(top - (200 - rows) / 2) <= 2 and abs(left - (320 - cols) / 2) <= 2  # around the pointer
+    page.mouse.down()
+    page.mouse.move(*pointed(page, 0.5 - 10.5 / rows, 0.5 - 6.5 / cols), steps=4)
+    page.mouse.up()
+    [(down, right)] = places(still(page))
+    assert (down - top, right - left) in {(10, 6), (11, 7), (10, 7), (11, 6)}
+    page.keyboard.press("-")
+    assert np.array_equal(still(page), whole)
+    assert not page.errors
+
+
+def test_an_edge_is_measured_where_it_is_dragged_over(chromium, tmp_path):
+    with serving("slanted-edge", "--camera", "mono", "--size", "320x240", "--device", "opencl",
+                 folder=tmp_path) as (address, _):
+        page = opened(chromium, address)
+        marked(page, "measure").click()
+        for corner, words in ((0.02, "sfr:"), (0.3, "MTF50")):
+            page.mouse.move(*pointed(page, corner, corner))
+            page.mouse.down()
+            page.mouse.move(*pointed(page, 0.15 if corner < 0.1 else 0.7, 0.15 if corner < 0.1 else 0.7), steps=4)
+            page.mouse.up()
+            page.wait_for_function(f"document.querySelector('[data-mark=edge]').innerText.includes('{words}')")
+        assert page.locator("svg rect").count() == 1 and not page.errors
+
+
+def test_two_cameras_stand_side_by_side(chromium, address):
+    page = opened(chromium, address)
+    newer(page, number(page, "sensor.exposure_time_ms", 20))
+    before = version(page)
+    marked(page, "live").click()
+    newer(page, before)
+    first = still(page)
+    marked(page, "set B").click()
+    newer(page, number(page, "optics.f_number", 5.6))
+    both = still(page)
+    assert np.array_equal(both[:, 165:], first[:, 165:]) and (both[:, 159:161] == 255).all()
+    assert both[:, :155].mean() < 0.5 * first[:, :155].mean()  # at f/5.6 a tenth of the light
+    marked(page, "swap").click()
+    swapped = still(page)
+    assert np.array_equal(swapped[:, :155], first[:, :155])
+    marked(page, "no B").click()
+    assert np.array_equal(still(page), first)
+    assert not page.errors
+
+
+def test_the_error_is_mapped(chromium, address):
+    page = opened(chromium, address)
+    marked(page, "error map").click()
+    dialog = marked(page, "error dialog")
+    dialog.wait_for(timeout=60000)
+    assert " rms, " in dialog.inner_text() and not page.errors
+    page.wait_for_function("document.querySelector('[data-mark=\"error dialog\"] img').naturalWidth === 320")
+
+
+def test_a_scene_that_moves_is_played_paused_and_stepped(chromium, tmp_path):
+    with serving(*SCENE, "--frames", "8", "--pan", "0,60", "--zoom", "1.3", folder=tmp_path) as (address, _):
+        page = opened(chromium, address)
+        page.wait_for_function("new Set(gpusimPainted.map(one => one[1])).size === 8")  # all frames, again and again
+        before = version(page)
+        marked(page, "live").click()
+        newer(page, before)
+        still(page)
+        at = page.evaluate("gpusimPainted.at(-1)[1]")
+        marked(page, "skip_next").click()
+        following = still(page)
+        assert page.evaluate("gpusimPainted.at(-1)[1]") == (at + 1) % 8
+        page.keyboard.press(",")
+        other = still(page)
+        assert page.evaluate("gpusimPainted.at(-1)[1]") == at and not np.array_equal(following, other)
+        page.keyboard.press(".")
+        assert np.array_equal(still(page), following)
+        assert not page.errors
+
+
 def test_clients_have_their_own_cameras(chromium, address):
     one, other = (opened(chromium, address) for _ in range(2))
     newer(one, number(one, "sensor.exposure_time_ms", 1))

@@ -21,6 +21,7 @@ from gpusim.preview.guard import Guard
 from gpusim.preview.producer import Picture, Producer
 from gpusim.preview.session import IN_FLIGHT, Session
 from gpusim.preview.state import History, State
+from gpusim.video.scenes import Still
 
 simplejpeg = pytest.importorskip("simplejpeg", reason="pip install gpusim[preview]")
 SCENE = gs.chart("colorchecker", size=(48, 32))
@@ -29,6 +30,8 @@ STATE = State("phone", tolerance="exact", is_live=False)
 
 class Fake:
     """Pictures of one grey that say their number; refuses f-number 13, and takes a while where it is told to."""
+
+    frames, period = 2**32, 0.0
 
     def __init__(self):
         self.made = []
@@ -177,7 +180,7 @@ def test_the_last_good_picture_stays(number, words):
 
 def test_a_producer_makes_what_a_simulator_does():
     """After any changes, one after the other: raw values and codes, bit for bit."""
-    producer, random = Producer(SCENE, open_device("opencl")), np.random.default_rng(5)
+    producer, random = Producer(Still(SCENE, 1), open_device("opencl")), np.random.default_rng(5)
     state = STATE
     for _ in range(12):
         control = list(CONTROLS.values())[random.integers(len(CONTROLS))]
@@ -203,7 +206,7 @@ def test_a_producer_makes_what_a_simulator_does():
 
 def test_drafts_are_near_the_picture_and_leave_no_trace():
     scene = gs.chart("deadleaves", size=(320, 256))
-    producer, state = Producer(scene, open_device("opencl")), replace(STATE, tolerance="1e-3")
+    producer, state = Producer(Still(scene, 1), open_device("opencl")), replace(STATE, tolerance="1e-3")
     producer.picture(state, 0)
     for name, value in (("optics.f_number", 2.2), ("optics.defocus_um", 3.0), ("optics.object_distance_m", 2.0),
                         ("optics.zernike_waves.10", 0.02)):

@@ -1,0 +1,46 @@
+"""Which part of the frame the page shows, enlarged by whole numbers: without loss."""
+
+from dataclasses import dataclass, replace
+
+ENLARGED = (1, 2, 4, 8, 16)  # pixels of the screen along one of the frame
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A part of a frame. top, left, rows, cols: [pixel]. times: pixels of the screen along one of them."""
+
+    top: int
+    left: int
+    rows: int
+    cols: int
+    times: int
+
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Rows and columns of it."""
+        return slice(self.top, self.top + self.rows), slice(self.left, self.left + self.cols)
+
+    def moved(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
+        """The same, so many pixels farther, inside a frame of this shape."""
+        top, left = (min(max(place, 0), n - own) for place, n, own in zip(
+            (self.top + down, self.left + right), shape, (self.rows, self.cols), strict=True))
+        return replace(self, top=top, left=left)
+
+
+def enlarged(crop: Crop | None, step: int, at: tuple[int, int], shape: tuple[int, int], width: int) -> Crop | None:
+    """The next larger (step 1) or smaller (-1) picture around a pixel; None: all of the frame.
+
+    at: row and column that stay where they are. shape: of the frame. width: of the picture on the screen [pixel].
+    """
+    rows, cols = shape
+    known = [times for times in ENLARGED if times * cols > width]
+    place = known.index(crop.times) if crop and crop.times in known else -1
+    if (place := min(place + step, len(known) - 1)) < 0:
+        return None
+    times = known[place]
+    wide = max(1, round(width / times))
+    high = min(rows, max(1, round(wide * rows / cols)))
+    own = crop or Crop(0, 0, rows, cols, 0)
+    share = ((at[0] - own.top) / own.rows, (at[1] - own.left) / own.cols)
+    corner = Crop(0, 0, high, wide, times)
+    return corner.moved(round(at[0] - share[0] * high), round(at[1] - share[1] * wide), shape)

@@ -1,0 +1,139 @@
+"""What is told beside the picture, against closed forms, and the part of it that is shown."""
+
+from dataclasses import replace
+from math import log, pi
+
+import colour
+import numpy as np
+import pytest
+from scipy.special import erf
+
+import gpusim as gs
+from gpusim.backends import open_device
+from gpusim.data.charts import colorchecker_patches
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadData
+from gpusim.domain.motion import Motion
+from gpusim.measure.ideal import ideal
+from gpusim.preview.crop import Crop, enlarged
+from gpusim.preview.curves import histogram, response
+from gpusim.preview.measures import SPAN, Checker, checker_of, edge, error_map
+from gpusim.preview.producer import Producer
+from gpusim.preview.state import State
+from gpusim.video.scenes import Moving, Still
+
+DISPLAY = DISPLAYS["srgb"]
+STATE = State("phone", {"sensor.exposure_time_ms": 20.0}, tolerance="exact", is_live=False)
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.5])
+def test_the_response_of_a_gaussian_edge(sigma):
+    """exp(-2 pi^2 sigma^2 f^2) is a half at sqrt(ln 2 / 2) / (pi sigma); the part alone is looked at."""
+    y, x = np.indices((90, 100))
+    distance = (x - 50 - (y - 45) * np.tan(np.radians(5))) * np.cos(np.radians(5))
+    grey = 0.4 + 0.3 * erf(distance / (sigma * 2**0.5))
+    linear = np.random.default_rng(1).random((3, 120, 140))
+    linear[:, 20:110, 30:130] = grey
+    found = edge(linear, (slice(20, 110), slice(30, 130)))
+    assert found["mtf50"] == pytest.approx((log(2) / 2) ** 0.5 / (pi * sigma), rel=0.02)
+    assert abs(found["angle"]) == pytest.approx(5, abs=0.1)
+    assert max(found["frequencies"]) <= 1 and "<polyline" in response(found)
+    assert "why" in edge(linear, (slice(0, 20), slice(0, 30)))
+
+
+def test_the_difference_of_a_checkers_patches():
+    """The ideal picture has none; of another the mean is as colour-science has it, patch by patch."""
+    scene = gs.chart("colorchecker", size=(192, 128))
+    checker, true = Checker(scene), ideal(scene)
+    linear = np.tensordot(np.linalg.inv(DISPLAY.xyz_from_rgb), true, 1)
+    inside = np.clip(linear, 0, 1)  # cyan is outside of sRGB
+    other = 0.8 * inside
+    white = colour.XYZ_to_xy(DISPLAY.xyz_from_rgb.sum(1))
+    expected = []
+    for y, x in colorchecker_patches((192, 128)):
+        at = slice((y.start + y.stop) // 2, (y.start + y.stop) // 2 + 1), (x.start + x.stop) // 2
+        pair = [colour.XYZ_to_Lab(xyz[(slice(None), *at)][:, 0], white)
+                for xyz in (np.tensordot(DISPLAY.xyz_from_rgb, other, 1), true)]
+        expected.append(colour.delta_E(*pair, method="CIE 2000"))
+    assert checker.difference(other, 1.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
+    assert checker.difference(2 * other, 2.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
+    assert checker.difference(inside, 1.0, DISPLAY) < 0.3 * np.mean(expected)
+    assert checker_of(gs.chart("ramp", size=(192, 128))) is None and checker_of(scene) is not None
+
+
+def test_a_map_of_errors():
+    truth = np.full((4, 6), 100.0)
+    mean = truth.copy()
+    assert (error_map(mean, truth) == 128).all()
+    mean[0, 0], mean[1, 1] = 110, 90
+    codes = error_map(mean, truth)
+    rms = (200 / 24) ** 0.5
+    part = min(10 / (SPAN * rms), 1)
+    assert codes[0, 0].tolist() == [int(128 * (1 - part) + 255 * part + 0.5), *[int(128 * (1 - part) + 0.5)] * 2]
+    assert codes[1, 1].tolist() == codes[0, 0].tolist()[::-1]
+
+
+def test_the_error_of_a_producer_is_that_of_verify():
+    scene = gs.chart("deadleaves", size=(64, 48))
+    state = replace(STATE, tolerance="1e-2")
+    codes, error = Producer(Still(scene, 1), open_device("opencl")).error(state, 0)()
+    report = gs.Simulator(state.built(), device="opencl", tolerance=1e-2)(scene, verify=True).report
+    assert codes.shape == (48, 64, 3) and error == report.error
+
+
+def test_parts_of_a_frame():
+    shape = 200, 320
+    one = enlarged(None, 1, (100, 160), shape, 1000)
+    assert (one.times, one.cols, one.rows) == (4, 250, 156)  # 3.1 pixels of the screen along one of the frame: all
+    two = enlarged(one, 1, (100, 160), shape, 1000)
+    assert two.times == 8 and abs(two.top + two.rows / 2 - 100) <= 1
+    assert enlarged(two, -1, (100, 160), shape, 1000).times == 4
+    assert enlarged(one, -1, (100, 160), shape, 1000) is None
+    assert enlarged(None, -1, (0, 0), shape, 1000) is None
+    corner = enlarged(None, 1, (199, 319), shape, 1000)
+    assert corner.top + corner.rows == 200 and corner.left + corner.cols == 320
+    assert corner.moved(10**6, -(10**6), shape) == Crop(200 - corner.rows, 0, corner.rows, corner.cols, 4)
+    most = two
+    for _ in range(9):
+        most = enlarged(most, 1, (3, 3), shape, 1000)
+    assert most.times == 16
+    small = enlarged(None, 1, (1, 1), (2, 3), 4000)  # enlarged farther than ENLARGED goes
+    assert small is None
+    low = enlarged(None, 1, (1000, 2000), (2160, 3840), 1000)
+    assert (low.times, low.cols) == (1, 1000)
+
+
+def test_two_cameras_side_by_side():
+    scene = gs.chart("colorchecker", size=(96, 64))
+    producer = Producer(Still(scene, 1), open_device("opencl"))
+    other = {"camera": "figure8", "changes": {}}
+    left, right = producer.picture(STATE, 3).codes, producer.picture(replace(STATE, **other), 3).codes
+    both = producer.picture(replace(STATE, against=other, split=0.25), 3).codes
+    assert np.array_equal(both[:, :23], left[:, :23]) and np.array_equal(both[:, 25:], right[:, 25:])
+    assert np.array_equal(producer.picture(STATE, 3).codes, left)
+    link = replace(STATE, against=other).link()
+    assert State.of_link(link, "phone").other == replace(STATE, **other)
+    stranger = replace(STATE, against={"camera": "/etc/passwd.toml", "changes": {}}).link()
+    assert State.of_link(stranger, "phone").other.camera == "phone"
+    for wrong in ('{"against": 3}', '{"against": {"camera": "phone", "changes": {"no": 1}}}', '{"split": 7}',
+                  '{"against": {"camera": "phone", "view": "raw", "changes": 4}}'):
+        with pytest.raises(BadData, match="link"):
+            State.of_link(wrong, "phone")
+
+
+def test_scenes_that_move_are_those_of_a_video():
+    """Whichever frame is asked for after which other."""
+    scenes = Moving(Still(gs.chart("deadleaves", size=(96, 64)), 6), Motion((0.0, 40.0), 0.0, 1.4, 1.0, 1.0, 0), 1 / 30)
+    producer = Producer(scenes, open_device("opencl"), 1 / 30)
+    assert producer.frames == 6
+    for number in (0, 1, 2, 5, 1, 0):
+        scene = next(scenes.between(number, number + 1))
+        assert np.array_equal(producer.picture(STATE, number).codes, gs.Simulator(
+            STATE.built(), device="opencl")(scene, frame=number).rgb)
+        assert np.array_equal(producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes)
+
+
+def test_the_histogram_has_a_line_of_each_channel():
+    found = Producer(Still(gs.chart("ramp", size=(96, 64)), 1), open_device("opencl")).statistics(STATE, 0, (5, 7))
+    assert {*found["counts"]} == {*"RGB"} and histogram(found).count("<polyline") == 3
+    assert found["pixel"]["row"] == 5 and sum(map(sum, found["counts"].values())) == 96 * 64
