@@ -1,0 +1,77 @@
+"""Frames of the preview that a client gets: produced, encoded, sent and acknowledged.
+
+    python bench/preview.py deadleaves --size 1920x1080 --camera phone --device opencl [--seconds 5]
+
+What is not known here is given to `gpusim preview`, which runs as a process of its own. The client acknowledges each
+frame at once, and does not decode it. Two rows: two clients, one after the other.
+"""
+
+import argparse
+import re
+import socket
+import struct
+import subprocess
+import sys
+import time
+from urllib.error import URLError
+from urllib.request import urlopen
+
+import numpy as np
+from websockets.sync.client import connect
+
+
+def started(arguments):
+    """A server's process and its address."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = subprocess.Popen([sys.executable, "-m", "gpusim", "preview", *arguments, "--port", str(port)])
+    address = f"http://127.0.0.1:{port}"
+    for _ in range(1200):
+        try:
+            urlopen(address, timeout=5).close()
+            return process, address
+        except (URLError, ConnectionError, TimeoutError):
+            if process.poll() is not None:
+                break
+            time.sleep(0.1)
+    sys.exit("gpusim preview has not started")
+
+
+def frames(address, seconds):
+    """Times of arrival [s] and sizes [byte] of a page's frames."""
+    with urlopen(address, timeout=60) as page:
+        token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
+    times, sizes, numbers = [], [], []
+    with connect(f"{address.replace('http', 'ws')}/picture/{token}", origin=address, max_size=2**26) as client:
+        begun = None
+        while begun is None or time.perf_counter() - begun < seconds:
+            data = client.recv(timeout=60)
+            client.send("1")
+            numbers.append(struct.unpack("<III", data[:12])[0])
+            begun = time.perf_counter() if len(numbers) == 20 else begun  # the first ones build kernels
+            if begun is not None:
+                times.append(time.perf_counter())
+                sizes.append(len(data))
+    return np.array(times), np.array(sizes)
+
+
+def main():
+    """Print the rate."""
+    options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    options.add_argument("--seconds", type=float, default=5.0)
+    asked, arguments = options.parse_known_args()
+    process, address = started(arguments)
+    try:
+        for _ in range(2):
+            times, sizes = frames(address, asked.seconds)
+            gaps = 1e3 * np.diff(times)
+            print(f"{1e3 / gaps.mean():.1f} frames/s, gaps of {np.median(gaps):.1f} ms (95 %: "
+                  f"{np.percentile(gaps, 95):.1f}), {sizes.mean() / 1024:.0f} KiB a frame")
+    finally:
+        process.terminate()
+        process.wait()
+
+
+if __name__ == "__main__":
+    main()

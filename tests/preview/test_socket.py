@@ -1,0 +1,118 @@
+"""The preview's websocket with clients of our own: who is let in, what they may send, and one that stops reading."""
+
+import os
+import re
+import socket
+import struct
+import time
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from browsers import serving
+
+pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
+connect = pytest.importorskip("websockets.sync.client").connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    with serving("colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl",
+                 folder=tmp_path_factory.mktemp("preview")) as (found, _):
+        yield found
+
+
+def opened(address, **options):
+    """The websocket of a new page's picture."""
+    with urlopen(address, timeout=30) as page:
+        token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
+    url = f"{address.replace('http', 'ws')}/picture/{token}"
+    return connect(url, **{"origin": address, "max_size": 2**24} | options)
+
+
+def received(client, count, acknowledge=True):
+    """Numbers of frames."""
+    found = []
+    for _ in range(count):
+        data = client.recv(timeout=30)
+        found.append(struct.unpack("<III", data[:12])[0])
+        if acknowledge:
+            client.send("1")
+    return found
+
+
+def test_frames_are_live_and_numbered(address):
+    with opened(address) as client:
+        numbers = received(client, 20)
+        assert numbers == [*range(numbers[0], numbers[0] + 20)]
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1"])
+def test_pages_of_others_get_no_picture(address, origin):
+    with pytest.raises(InvalidStatus) as refused:
+        opened(address, origin=origin).close()
+    assert refused.value.response.status_code == 403
+
+
+def test_other_names_of_this_address_get_no_picture(address):
+    """As a page does whose name was bound to 127.0.0.1 after it was loaded."""
+    port = int(address.rpartition(":")[2])
+    with pytest.raises(InvalidStatus) as refused:
+        connect(f"ws://evil.example:{port}/picture/x", origin=f"http://evil.example:{port}",
+                sock=socket.create_connection(("127.0.0.1", port)))
+    assert refused.value.response.status_code == 403
+
+
+def test_an_unknown_token_gets_no_picture(address):
+    with pytest.raises((InvalidStatus, ConnectionClosed)), connect(
+            f"{address.replace('http', 'ws')}/picture/unknown", origin=address) as client:
+        client.recv(timeout=10)
+
+
+def test_one_that_stops_reading_delays_nobody(address):
+    with opened(address) as silent, opened(address) as client:
+        received(client, 5)
+        begun = time.perf_counter()
+        received(silent, 1, acknowledge=False)  # and no more
+        numbers = received(client, 60)
+        rate = 60 / (time.perf_counter() - begun)
+        assert numbers == [*range(numbers[0], numbers[0] + 60)]
+        assert rate > 10
+        with pytest.raises(TimeoutError):  # of live noise one frame alone is in flight
+            silent.recv(timeout=0.5)
+        silent.send("1")
+        received(silent, 5)
+
+
+def test_garbage_ends_a_connection_and_nothing_else(address):
+    """10,000 messages: short ones count as acknowledgements at most, long ones end their sender."""
+    random = np.random.default_rng(3)
+    with opened(address) as steady:
+        received(steady, 3)
+        sent = ended = 0
+        while sent < 10_000:
+            with opened(address) as client:
+                try:
+                    for _ in range(2000):
+                        low, high = (0, 17) if random.random() < 0.999 else (17, 2**17)
+                        size = int(random.integers(low, high))
+                        data = random.bytes(size)
+                        client.send(data if random.random() < 0.5 else data.decode("latin1")[: size // 2])
+                        sent += 1
+                except ConnectionClosed:
+                    ended += 1
+            received(steady, 1)
+        assert ended >= 3
+        received(steady, 20)
+    with opened(address) as after:
+        received(after, 5)
+
+
+def test_bytes_that_are_no_http_end_themselves(address):
+    host, port = address.removeprefix("http://").split(":")
+    for _ in range(50):
+        with socket.create_connection((host, int(port)), timeout=10) as raw:
+            raw.sendall(os.urandom(200) + b"\r\n\r\n")
+    with opened(address) as client:
+        received(client, 5)
