@@ -38,8 +38,8 @@ def numpy(program):
     return np.array(program.simulator.device.numpy(program.exposure.mean), np.float64)
 
 
-@pytest.mark.parametrize("kind", ["deadleaves", "points"])
-@pytest.mark.parametrize("name", TURNS)
+@pytest.mark.parametrize(("name", "kind"), [*((name, "deadleaves") for name in TURNS), ("wider", "points"),
+                                            ("nearer", "points"), ("coma", "points")])
 def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.
 

@@ -182,6 +182,7 @@ def test_a_varying_lens_for_every_spectrum():
     assert report.error.rms < 5e-3, str(report)
 
 
+@pytest.mark.slow
 def test_case_13_lateral_colour():
     """3 pixels of lateral colour at the corner, and axial colour: the planes are raised, or it is refused.
 

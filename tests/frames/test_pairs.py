@@ -48,7 +48,7 @@ def samples(folder):
     return found
 
 
-@pytest.mark.parametrize("device", ["numpy", *KINDS])
+@pytest.mark.parametrize("device", [pytest.param("numpy", marks=pytest.mark.slow), *KINDS])
 def test_any_number_of_workers_gives_the_same_bytes(device, photographs, tmp_path, capsys):
     asked = [photographs, "--camera", "phone", "--device", device, "--each", "2", "--in-shard", "3", "--pictures",
              "--vary", "exposure=1/500..1/20,iso=200..1600,light=D65|A,luminance=20..300", "--seed", "5"]

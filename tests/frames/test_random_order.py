@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from cameras import camera_with
-from devices import ALL_KINDS
+from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import GpusimError
@@ -174,7 +174,7 @@ class Loop:
             look()
 
 
-@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("device", [pytest.param("numpy", marks=pytest.mark.slow), *KINDS])
 def test_every_result_is_that_of_a_new_simulator(device):
     Loop(device, 1).run(TURNS)
 

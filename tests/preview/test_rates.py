@@ -6,7 +6,7 @@ from browsers import browser, marked, opened, serving
 
 pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
 pytestmark = pytest.mark.slow
-SECONDS, MOVES = 6, 20
+SECONDS, MOVES, MINUTES = 6, 20, 10
 # control -> least pictures a second while it is moved, most milliseconds from a move to its picture: median, 95 %
 MOVED = {
     "noise.read_e": (30, 90, 160), "sensor.exposure_time_ms": (30, 90, 160), "optics.f_number": (12, 180, 280),
@@ -70,3 +70,33 @@ def test_a_moved_slider(page, name):
           f"{np.percentile(waits, 95):.0f} ms")
     assert rate >= least and changes / SECONDS >= min(least, 12)
     assert np.median(waits) <= median and np.percentile(waits, 95) <= most
+
+
+def test_memory_is_flat(tmp_path):
+    """Ten minutes of sliding, in turn over exposure, lens and noise: after the first two the server stays as it is."""
+    with browser() as chromium, serving("deadleaves", "--camera", "phone", "--size", "640x360", "--exposure", "20ms",
+                                        "--device", "opencl", folder=tmp_path) as (address, process):
+        made = opened(chromium, address)
+        made.get_by_text("Noise", exact=True).first.click()
+        used = []
+        for _ in range(MINUTES):
+            for name in ("sensor.exposure_time_ms", "optics.f_number", "optics.defocus_um", "noise.read_e"):
+                marked(made, name).scroll_into_view_if_needed()
+                marked(made, name).locator("[tabindex]").first.focus()
+                made.evaluate("""() => {
+                    const slider = document.activeElement;
+                    let k = 0;
+                    window.sliding = setInterval(() => {
+                        const keyCode = k++ % 80 < 40 ? 39 : 37;
+                        for (const type of ["keydown", "keyup"])
+                            slider.dispatchEvent(new KeyboardEvent(type, { keyCode, bubbles: true, cancelable: true }));
+                    }, 50);
+                }""")
+                made.wait_for_timeout(15_000)
+                made.evaluate("clearInterval(sliding)")
+            with open(f"/proc/{process.pid}/statm") as file:
+                used.append(int(file.read().split()[1]) * 4096 / 2**20)
+        print("MiB after each minute:", np.round(used))
+        assert len(painted(made)) > 100
+        assert used[-1] - used[1] <= 0.03 * used[1]
+        made.close()
