@@ -24,7 +24,9 @@ def add_command(commands):
                                  "files or an encoded video; goes on where it was interrupted")
     add_asked(parser, several=True)
     parser.add_argument("-o", "--out", required=True, metavar="OUT", help=".mp4 or .mkv, or numbered files: .png, "
-                        ".exr, .dng, .npz (a.png gives a_0000.png ...)")
+                        ".exr, .dng, .npz (a.png gives a_0000.png ...); with --lerobot a folder")
+    parser.add_argument("--lerobot", metavar="TASK", help="add an episode of this task, such as 'pick up the cube', to "
+                        "the LeRobot data set (version 3.0) in the folder -o, or begin one")
     add_moving(parser)
     parser.add_argument("--seed", type=whole(0, 2**64 - 1), default=0, help="of the temporal noise (default: 0)")
     parser.add_argument("--blur", action="store_true", help="of the camera's movement while it exposes, and its "
@@ -152,7 +154,7 @@ def _written(target, simulator, scenes, own, seed, loops):
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
-        print(str(target.path) if target.finish() else f"{target.path} is made by the last of the shards")
+        print(target.told if target.finish() else f"{target.path} is made by the last of the shards")
     return 0 if is_met else 1
 
 
@@ -164,7 +166,8 @@ def _target(path, arguments, simulator, scenes, segments):
     from gpusim.backends.probe import made_by
     from gpusim.io.atomic import check_output
     from gpusim.io.frames import FORMATS, check_format
-    from gpusim.video.codecs import CONTAINERS, Encoder, codec_of
+    from gpusim.video.codecs import CODECS, CONTAINERS, Encoder, codec_of
+    from gpusim.video.lerobot import Episode
     from gpusim.video.manifest import digest, file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
@@ -177,19 +180,31 @@ def _target(path, arguments, simulator, scenes, segments):
                 arguments.scene[0]).is_dir() else arguments.scene)], "frames": scenes.count,
             "options": {name: str(getattr(arguments, name)) for name in OPTIONS},
             "device": made_by(simulator.device)}
-    if suffix in CONTAINERS:
-        codec, sensor = codec_of(path, arguments.codec), simulator.readout.output
+    is_episode = arguments.lerobot is not None
+    if is_episode or suffix in CONTAINERS:
+        codec = codec_of(Path("episode.mp4") if is_episode else path, arguments.codec)
+        sensor = simulator.readout.output
+        if is_episode and codec != CODECS["h264"]:
+            raise OutOfRange("--codec of a LeRobot data set", arguments.codec, "h264")
+        if is_episode and arguments.shard.count > 1:
+            raise OutOfRange("--shard of a LeRobot data set", "given", "none: one run makes an episode")
         if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
             raise OutOfRange("raw values of an encoded video", "stacked pixels" if sensor.stacked else
                              f"{sensor.bits} bits", "one mosaic of up to 16 bits; .npz files hold any")
-        first = next(scenes.between(0, 1))
-        encoder = Encoder(codec, simulator.readout.output_shape(first.shape), arguments.fps, camera.display,
-                          camera.processor.tone, arguments.quality)
-        check_output(path)
-        target = EncodedFile(path, codec, encoder, segments, frames_of)
-        if path.exists() and not target.folder.exists():
-            raise BadFile(path, "is there already; remove it, or give -o another name")
+        shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
+        encoder = Encoder(codec, shape, arguments.fps, camera.display, camera.processor.tone, arguments.quality)
+        if is_episode:
+            target = Episode(path, arguments.lerobot, camera.name, shape, arguments.fps, arguments.seed, codec, encoder,
+                             segments, frames_of)
+            made["task"] = arguments.lerobot
+        else:
+            check_output(path)
+            target = EncodedFile(path, codec, encoder, segments, frames_of)
+            if path.exists() and not target.folder.exists():
+                raise BadFile(path, "is there already; remove it, or give -o another name")
         try:
+            if is_episode:
+                path.mkdir(exist_ok=True)
             target.folder.mkdir(exist_ok=True)
         except OSError as error:
             raise BadFile(target.folder, f"cannot be made: {error.strerror or error}") from error

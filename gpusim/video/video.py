@@ -32,11 +32,16 @@ READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
 
 @dataclass(frozen=True)
 class Made:
-    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors."""
+    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors.
+
+    exposure_time: [s]. gain: analog, beside the sensor's.
+    """
 
     number: int
     values: Any
     account: Account
+    exposure_time: float
+    gain: float
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
@@ -101,23 +106,24 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
             simulator = still if camera is still.camera else still.update(camera)
             exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
                                      flicker=scenes.flicker, **loops.operation(camera, number))
-            account = exposure.plan.account.at(exposure.exposure_time)
+            told = (exposure.plan.account.at(exposure.exposure_time), exposure.exposure_time, exposure.gain)
             if output is None:
-                yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), account)
+                yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), *told)
                 continue
             values = simulator.draw(exposure, seed=seed, frame=number)
             if output != "raw":
                 values = simulator.codes(values, exposure) if output == "codes" else simulator.develop(
                     values, exposure)[0]
-            yield Made(number, np.array(simulator.device.numpy(values)), account)
+            yield Made(number, np.array(simulator.device.numpy(values)), *told)
 
 
 def _made(program, number, seed, output):
-    account = program.account
+    account, exposure = program.account, program.shots.exposure
+    told = account, exposure.exposure_time, exposure.gain
     if output is None:
-        return Made(number, program.frame(seed=seed, frame=number).complete(), account)
+        return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
     values = program.output(output, seed=seed, frame=number)
-    return Made(number, np.array(program.simulator.device.numpy(values)), account)
+    return Made(number, np.array(program.simulator.device.numpy(values)), *told)
 
 
 class NumberedFiles:
@@ -181,6 +187,11 @@ class EncodedFile:
         """What is written, for messages."""
         return f"the folder {self.folder}"
 
+    @property
+    def told(self) -> str:
+        """What there is when all is done, for messages."""
+        return str(self.path)
+
     def is_empty(self) -> bool:
         """Whether nothing was written yet."""
         return not any(self.folder.glob(f"*{PART}"))
@@ -217,7 +228,11 @@ class EncodedFile:
         if not all(part.exists() for _, part in parts):
             return False
         self._encoder.join(self.path, parts)
+        self._emptied()
+        return True
+
+    def _emptied(self):
+        """Remove the segments."""
         for path in self.folder.iterdir():
             path.unlink()
         self.folder.rmdir()
-        return True
