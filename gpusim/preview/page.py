@@ -13,16 +13,14 @@ from nicegui import app, ui
 
 from gpusim.data.cameras import camera_names, camera_table
 from gpusim.domain.errors import GpusimError
-from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, TOLERANCES, VIEWS, Control
+from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
+from gpusim.preview.known import histogram, of_exposure, of_plan
 from gpusim.preview.producer import Producer
 from gpusim.preview.session import Session
 from gpusim.preview.state import State
 
-PLACES = 1000  # of a slider
-OWN = "the scene's"
 LEFT = 600.0  # [s] that a session without a page is kept
 MOST_SESSIONS = 16  # each holds its scene on the device
-COLOURS = {"R": "#e05050", "G": "#40b050", "B": "#5070e0"}
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 OPEN = ("Exposure", "Lens")  # groups, at first
 FORMATS = (".png", ".dng", ".exr", ".npz")
@@ -297,14 +295,10 @@ class Page:
         shown = session.shown
         if shown is None:
             return
-        facts = shown.facts
-        verdict = {None: "", True: " (met)", False: " (NOT met)"}[facts["verdict"]]
         self._fields["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
-            f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  "
-            + ("draft: its error is not predicted" if facts["draft"] else
-               f"predicted error {facts['error']:.2g} rms{verdict}"))
-        self._fields["left out"].text = "\n".join(["left out:", *facts["left out"]] if facts["left out"] else [])
+            f"{of_exposure(shown.facts)}")
+        self._fields["left out"].text = of_plan(shown.facts)
 
     async def _statistics(self):
         session = self.session
@@ -346,22 +340,6 @@ class Page:
             ui.label("The same on the command line, with the camera saved beside it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
-
-
-def histogram(found: dict) -> str:
-    """Counts of the electrons of each channel, from 0 to full well, as a picture for the page."""
-    counts = {letter: [count**0.5 for count in bins] for letter, bins in found["counts"].items()}
-    most = max((max(bins) for bins in counts.values()), default=0.0) or 1.0
-    lines = []
-    for letter, bins in counts.items():
-        step = 400 / len(bins)
-        points = " ".join(f"{step * (k + 0.5):.1f},{80 - 76 * count / most:.1f}" for k, count in enumerate(bins))
-        lines.append(f'<polyline points="{points}" fill="none" stroke="{COLOURS.get(letter, "#ccc")}"/>')
-    text = (f'<text x="2" y="94" fill="#aaa" font-size="10">0 e-</text><text x="398" y="94" fill="#aaa" font-size="10" '
-            f'text-anchor="end">full well {found["full well"]:.4g} e-</text><text x="200" y="94" fill="#aaa" '
-            f'font-size="10" text-anchor="middle">black level {found["black level"]:.4g} DN</text>')
-    return (f'<svg viewBox="0 0 400 98" style="width:100%;background:#171717">{"".join(lines)}{text}'
-            '<line x1="0" y1="80" x2="400" y2="80" stroke="#555"/></svg>')
 
 
 def _saved(producer, state, number, suffix):
