@@ -35,7 +35,7 @@ _PUBLIC = {
     "sensor_from_emva1288": "gpusim.data.emva1288",
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
-    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes",
+    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "preview": "gpusim.preview",
 }
 __all__ = sorted(_PUBLIC)
 

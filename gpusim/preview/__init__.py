@@ -1,1 +1,34 @@
-"""Live preview: move a slider, see the camera change; `gpusim preview`."""
+"""Live preview: move a slider, see the camera change; `gpusim preview`, and `gs.preview(scene, camera)` in Jupyter.
+
+The package is itself the function: whoever imports one of its modules has the package at `gpusim.preview`.
+"""
+
+import sys
+from types import ModuleType
+
+
+class _Function(ModuleType):
+    """A package that can be called."""
+
+    def __call__(self, scene, camera, *, device="auto", tolerance: str | None = "1e-3"):
+        """A widget for Jupyter: sliders, and a picture of the scene that follows them.
+
+        scene: a Scene, or what `open_scene` takes. camera: a built-in one's name, a camera file, or a Camera. device: a
+        name for `open_device`, or a Device. tolerance: of `gpusim.preview.controls.TOLERANCES`; None is "exact".
+        Returns a `gpusim.preview.notebook.Preview`. Raises GpusimError: without ipywidgets and simplejpeg, for a scene,
+        a camera, a device or a tolerance that there is not.
+        """
+        from gpusim.preview.cli import Missing
+
+        try:
+            import ipywidgets  # noqa: F401
+            import simplejpeg  # noqa: F401
+        except ImportError as error:
+            raise Missing(f"preview: {error.name} is not installed; wanted: pip install 'gpusim[notebook]'") from None
+        from gpusim.preview.notebook import opened
+
+        return opened(scene, camera, device, tolerance)
+
+
+preview = sys.modules[__name__]
+preview.__class__ = _Function

@@ -5,6 +5,8 @@ from typing import Any
 
 from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
 
+PLACES = 1000  # of a slider
+OWN = "the scene's"  # light
 LIGHTS = ("D65", "D50", "A", "FL2", "FL11", "LED-B1", "LED-B5", "LED-RGB1", "daylight-10000K", "blackbody-2000K")
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
 VIEWS = ("rendered", "raw", "electrons", "noise")

@@ -13,15 +13,14 @@ from nicegui import app, run, ui
 
 from gpusim.data.cameras import camera_names, camera_table
 from gpusim.domain.errors import GpusimError
-from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, TOLERANCES, VIEWS, Control
+from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
 from gpusim.preview.crop import enlarged
 from gpusim.preview.curves import histogram, response
+from gpusim.preview.known import of_exposure, of_plan
 from gpusim.preview.measures import SPAN
 from gpusim.preview.session import Session
 from gpusim.preview.state import State
 
-PLACES = 1000  # of a slider
-OWN = "the scene's"
 LEFT = 600.0  # [s] that a session without a page is kept
 MOST_SESSIONS = 16  # each holds its scene on the device
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
@@ -433,14 +432,10 @@ class Page:
             self._setting = True
             self._fields["frame"].value = shown.number
             self._setting = False
-        facts = shown.facts
-        verdict = {None: "", True: " (met)", False: " (NOT met)"}[facts["verdict"]]
         self._fields["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
-            f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  "
-            + ("draft: its error is not predicted" if facts["draft"] else
-               f"predicted error {facts['error']:.2g} rms{verdict}"))
-        self._fields["left out"].text = f"left out: {'; '.join(facts['left out']) or 'nothing'}"
+            f"{of_exposure(shown.facts)}")
+        self._fields["left out"].text = of_plan(shown.facts)
 
     async def _statistics(self):
         session = self.session

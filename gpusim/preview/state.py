@@ -58,6 +58,10 @@ class State:
             for key, value in section.items() if isinstance(section, dict) else ():
                 if isinstance(value, str) and Path(value).suffix and (path.parent / value).is_file():
                     section[key] = str((path.parent / value).resolve())
+        return self.changed(table)
+
+    def changed(self, table: dict) -> dict:
+        """A camera file's table, into which the changes are put."""
         for name, value in self.changes.items():
             control = CONTROLS[name]
             section = table.setdefault(control.section, {})

@@ -1,0 +1,261 @@
+"""The preview in Jupyter: what the widget's controls do, what it shows, and that a kernel runs it."""
+
+import io
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gpusim as gs
+from gpusim.data.cameras import camera_names, camera_table
+from gpusim.domain.errors import BadData, GpusimError
+from gpusim.preview.controls import CONTROLS, LIGHTS
+from gpusim.preview.given import Given, table_of
+from gpusim.preview.producer import Picture
+from gpusim.preview.state import State
+
+pytest.importorskip("ipywidgets", reason="pip install gpusim[notebook]")
+pytest.importorskip("simplejpeg", reason="pip install gpusim[notebook]")
+from gpusim.preview.notebook import Preview
+
+SCENE = gs.chart("colorchecker", size=(96, 64))
+EXPOSURE, F_NUMBER = "sensor.exposure_time_ms", "optics.f_number"
+
+
+class Fake:
+    """Pictures that take a while, of one grey."""
+
+    def __init__(self):
+        self.made = []
+
+    def picture(self, state, number, drafts=False):
+        time.sleep(0.02)
+        self.made.append(state)
+        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": True, "left out": ()}
+        return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
+
+    def statistics(self, state):
+        raise RuntimeError("the GPU has fallen off the bus")
+
+
+def settled(widget):
+    """Pixels of the picture that stays, (rows, cols, 3)."""
+    end = time.monotonic() + 100
+    while not widget.is_settled:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert widget.image.format == "png"
+    return np.asarray(Image.open(io.BytesIO(widget.image.value)))
+
+
+@pytest.fixture
+def faked():
+    state = State("phone", is_live=False)
+    made = Preview(Fake(), state, camera_table("phone")[1])
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def widget():
+    made = gs.preview(SCENE, "phone", device="opencl")
+    yield made
+    made.close()
+
+
+def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
+    exposure = widget.controls[EXPOSURE]
+    first = settled(widget)
+    exposure.switch.value = True  # it is automatic
+    exposure.number.value = 20.0
+    bright = settled(widget)
+    before = widget._histogram.value
+    exposure.slider.value = 5.0
+    dark = settled(widget)
+    assert dark.mean() < 0.8 * bright.mean() and widget._histogram.value != before
+    assert exposure.number.value == 5.0 and widget.camera.sensor.exposure_time == 0.005
+    assert "exposure 5 ms" in widget._known.value and "(met)" in widget._known.value
+    widget._undo.click()
+    assert np.array_equal(settled(widget), bright) and exposure.number.value == exposure.slider.value == 20.0
+    widget._redo.click()
+    assert np.array_equal(settled(widget), dark)
+    exposure.switch.value = False
+    assert np.array_equal(settled(widget), first) and exposure.slider.disabled
+
+
+def test_what_settles_is_what_a_simulator_makes(widget):
+    """After controls of every kind, the lens's with drafts, one after the other."""
+    moves = [(EXPOSURE, 12.5), (F_NUMBER, 2.8), ("noise.read_e", 8.0), ("optics.object_distance_m", 0.5),
+             ("processor.demosaic", "bilinear"), ("light", LIGHTS[2]), ("luminance", 300.0), ("frame", 7), ("seed", 3),
+             ("optics.defocus_um", 4.0), ("tolerance", "exact"), ("view", "rendered")]
+    for name, value in moves:
+        control = widget.controls[name]
+        if getattr(control, "switch", None):
+            control.switch.value = True
+        getattr(control, "number", control).value = value
+        shown = settled(widget)
+        assert not widget._error.value, name
+        scene = gs.chart("colorchecker", size=(96, 64), light=widget.state.light or "D65",
+                         luminance=widget.state.luminance or 100.0)
+        frame = gs.Simulator(widget.camera, device="opencl", tolerance=widget.state.asked)(
+            scene, seed=widget.state.seed, frame=widget.state.frame)
+        assert np.array_equal(shown, frame.rgb), name
+    assert np.array_equal(widget.frame().raw, frame.raw) and widget.state.frame == 7
+    widget.controls["view"].value = "raw"
+    assert not np.array_equal(settled(widget), shown)
+
+
+def test_the_newest_settings_win(faked):
+    """What is set while a picture is made is not made one after the other."""
+    settled(faked)
+    gain, before = faked.controls["sensor.analog_gain"], len(faked._producer.made)
+    for k in range(200):
+        gain.slider.value = 1 + k / 100
+    settled(faked)
+    made = faked._producer.made
+    assert len(made) - before < 20 and made[-1].changes["sensor.analog_gain"] == 1 + 199 / 100
+    faked._undo.click()  # one slider's movements are one step
+    assert faked.state.changes == {} and gain.slider.value == 1.0
+
+
+def test_a_slider_that_is_moved_is_sent_nothing(faked):
+    """It would jump back to where it was."""
+    control, sent = faked.controls[F_NUMBER], []
+    control.slider.observe(lambda change: sent.append(change.new), "value")
+    control.slider.value = 3.00004
+    assert sent == [3.00004] and control.number.value == faked.state.changes[F_NUMBER] == 3.0
+
+
+def test_jpegs_while_a_slider_is_moved(faked):
+    settled(faked)
+    formats = []
+    faked.image.observe(lambda change: formats.append(faked.image.format), "value")
+    faked.controls[F_NUMBER].slider.value = 4.0
+    settled(faked)
+    assert formats == ["jpeg", "png"]
+
+
+def test_the_last_good_picture_stays(widget):
+    good = settled(widget)
+    field = widget.controls[F_NUMBER].number
+    field.value = -1.0
+    assert np.array_equal(settled(widget), good) and "optics.f_number = -1.0: allowed is" in widget._error.value
+    with pytest.raises(GpusimError, match=r"optics\.f_number = -1"):
+        widget.frame()
+    field.value = float("nan")  # a field that was emptied
+    assert widget.state.changes[F_NUMBER] == -1.0
+    field.value = 4.0
+    assert not np.array_equal(settled(widget), good) and not widget._error.value
+
+
+def test_a_widget_that_is_closed_makes_no_more_pictures(faked):
+    settled(faked)
+    faked.close()
+    made = len(faked._producer.made)
+    faked.controls[F_NUMBER].slider.value = 4.0
+    time.sleep(0.3)
+    assert len(faked._producer.made) == made
+
+
+def test_a_camera_object_is_changed_as_its_file_is():
+    """Every control, one after the other; a camera that is not changed is the object's own, bit for bit."""
+    random = np.random.default_rng(2)
+    for name in camera_names():
+        camera, table = gs.open_camera(name), camera_table(name)[1]
+        file, given = State(name), Given(camera.name, given=camera)
+        assert repr(given.built()) == repr(camera)
+        for control in CONTROLS.values():
+            own, written = given.value(control, table_of(camera)), file.value(control, table)
+            assert own == written, control.name
+            value = (control.choices[random.integers(len(control.choices))] if control.choices else
+                     float(control.low + (control.high - control.low) * random.random()))
+            changes = {control.name: value}
+            try:
+                wanted = repr(replace(file, changes=changes).built())
+            except GpusimError:
+                with pytest.raises(GpusimError):
+                    replace(given, changes=changes).built()
+                continue
+            assert repr(replace(given, changes=changes).built()) == wanted, control.name
+    with pytest.raises(BadData, match="an object without a file"):
+        given.toml()
+
+
+def test_a_widget_of_a_camera_object():
+    camera = replace(gs.open_camera("mono"), name="my own")
+    widget = gs.preview("flat", camera, device="opencl", tolerance=None)
+    assert widget.controls[F_NUMBER].number.value == camera.optics.f_number
+    widget.controls[F_NUMBER].number.value = 5.6
+    shown = settled(widget)
+    own = replace(camera, optics=replace(camera.optics, f_number=5.6))
+    assert np.array_equal(shown, gs.Simulator(own, device="opencl")(gs.open_scene("flat")).rgb)
+    widget.close()
+
+
+@pytest.mark.parametrize(("asked", "words"), [
+    (("moon", "phone"), "unknown scene 'moon'"), ((3, "phone"), "wanted a Scene"), (("flat", "fone"), "did you mean"),
+    (("flat", 3), "unknown camera '3'"), (("flat", "phone", "1e-7"), "unknown tolerance of a preview '1e-7'")])
+def test_what_cannot_be_shown_is_said_at_once(asked, words):
+    scene, camera, *tolerance = asked
+    with pytest.raises(GpusimError, match=words):
+        gs.preview(scene, camera, device="numpy", tolerance=(*tolerance, "1e-3")[0])
+
+
+def test_what_is_missing_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    with pytest.raises(GpusimError, match=r"^preview: ipywidgets is not installed; .* 'gpusim\[notebook\]'$"):
+        gs.preview("flat", "phone")
+
+
+@pytest.mark.parametrize("imports", ["", "import gpusim.preview.session", "from gpusim.preview import state",
+                                     "gs.preview; import gpusim.preview.state", "import gpusim.cli",
+                                     "from gpusim import preview", "from gpusim import *"])
+def test_a_function_and_a_package_have_one_name(imports):
+    code = (f"import gpusim as gs, sys; {imports}\ntry: gs.preview('moon', 'phone')\n"
+            "except gs.GpusimError as error: print(error)\n"
+            "print(gs.preview is sys.modules['gpusim.preview'])\n"
+            "import gpusim.preview.session as session; print(gs.preview.session is session)")
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert said.stdout.splitlines()[0].startswith("unknown scene 'moon'"), said.stderr
+    assert said.stdout.split()[-2:] == ["True", "True"]
+
+
+@pytest.mark.parametrize("end", ["", "widget.close(); time.sleep(0.3)"])
+def test_a_program_with_a_widget_ends_in_silence(end):
+    code = ("import gpusim as gs, time; widget = gs.preview('flat', 'mono', device='numpy')\n"
+            f"while not widget.is_settled: time.sleep(0.01)\n{end}")
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+
+
+@pytest.mark.slow
+def test_a_kernel_runs_it():
+    """Changes come as a browser sends them, by messages, of which the kernel runs one after the other."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    make = ("import time, gpusim as gs\n"
+            "widget = gs.preview(gs.chart('colorchecker', size=(96, 64)), 'phone', device='opencl')\n"
+            "while not widget.is_settled: time.sleep(0.01)\n"
+            "first, seen = widget.image.value, []\n"
+            "widget.image.observe(lambda change: seen.append(change.new), 'value')\n"
+            "print(widget.controls['optics.f_number'].slider.model_id)\n"
+            "widget")
+    look = ("while not widget.is_settled: time.sleep(0.01)\n"
+            "print(widget.camera.optics.f_number, widget.image.value != first, widget.image.format, len(seen) < 50)")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in (make, look)])
+    client = nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3")
+    with client.setup_kernel():
+        said, shown = client.execute_cell(notebook.cells[0], 0).outputs
+        for k in range(100):
+            content = {"comm_id": said.text.strip(), "data": {"method": "update", "state": {"value": 2 + k / 20},
+                                                              "buffer_paths": []}}
+            client.kc.shell_channel.send(client.kc.session.msg("comm_msg", content))
+        assert client.execute_cell(notebook.cells[1], 1).outputs[0].text == "6.95 True png True\n"
+    assert "application/vnd.jupyter.widget-view+json" in shown.data
+    # what has come to the browser
+    states = [state for state in client.widget_state.values() if state.get("_model_name") == "ImageModel"]
+    assert [state["format"] for state in states] == ["png"]
