@@ -9,6 +9,11 @@ PLACES = 1000  # of a slider
 OWN = "the scene's"  # light
 LIGHTS = ("D65", "D50", "A", "FL2", "FL11", "LED-B1", "LED-B5", "LED-RGB1", "daylight-10000K", "blackbody-2000K")
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
+FILES = "the camera's"  # tone curve
+# of sRGB values: a little contrast, dark parts lifted, bright parts held back
+TONES = {FILES: None, "none": [], "contrast": [[0, 0], [0.25, 0.2], [0.75, 0.82], [1, 1]],
+         "shadows": [[0, 0], [0.1, 0.17], [0.3, 0.4], [1, 1]],
+         "highlights": [[0, 0], [0.5, 0.5], [0.8, 0.72], [1, 0.9], [2, 1]]}
 VIEWS = ("rendered", "raw", "electrons", "noise")
 
 
@@ -18,7 +23,8 @@ class Control:
 
     section, key: of the file; item: of its list, or None. label, unit: for the page. low, high: of a slider, whose
     places are even in the logarithm where `is_log`. choices: in place of a slider. off: what stands for "not there",
-    which a switch beside the slider sets. default: where neither file nor class has one.
+    which a switch beside the slider sets. default: where neither file nor class has one. named: choice -> what the file
+    has for it; None, the first one's: what it had.
     """
 
     section: str
@@ -33,6 +39,7 @@ class Control:
     item: int | None = None
     off: Any = None
     default: Any = None
+    named: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -82,6 +89,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         Control("processor", "white_balance", "white balance",
                 choices=tuple(name for name in WHITE_BALANCES if name != "preset"), default="illuminant"),
         Control("processor", "color", "colour", choices=COLORS, default="white-preserving"),
+        Control("processor", "tone", "tone curve", choices=tuple(TONES), named=TONES, default=()),
         Control("processor", "shading", "shading correction", choices=(False, True), default=False),
         Control("processor", "scaling", "scaling", choices=SCALINGS, default="exposure"),
     ),

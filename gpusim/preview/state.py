@@ -47,6 +47,8 @@ class State:
         """What a control has: set, or in the camera file, or its default."""
         if control.name in self.changes:
             return self.changes[control.name]
+        if control.named:
+            return next(iter(control.named))  # the file's own
         given = table.get(control.section, {}).get(control.key, control.default)
         return given if control.item is None else _long(given, control)[control.item]
 
@@ -64,6 +66,8 @@ class State:
         """A camera file's table, into which the changes are put."""
         for name, value in self.changes.items():
             control = CONTROLS[name]
+            if control.named and (value := control.named.get(value, value)) is None:
+                continue
             section = table.setdefault(control.section, {})
             if control.item is not None:
                 section[control.key] = _long(section.get(control.key, control.default), control)

@@ -1,5 +1,7 @@
 """How fast the preview is, seen from the browser: 1280x720 on two processor cores."""
 
+import faulthandler
+
 import numpy as np
 import pytest
 from browsers import browser, marked, opened, serving
@@ -74,6 +76,7 @@ def test_a_moved_slider(page, name):
 
 def test_memory_is_flat(tmp_path):
     """Ten minutes of sliding, in turn over exposure, lens and noise: after the first two the server stays as it is."""
+    faulthandler.cancel_dump_traceback_later()  # it takes longer than a test that hangs may
     with browser() as chromium, serving("deadleaves", "--camera", "phone", "--size", "640x360", "--exposure", "20ms",
                                         "--device", "opencl", folder=tmp_path) as (address, process):
         made = opened(chromium, address)
