@@ -14,7 +14,7 @@ _PUBLIC = {
     "Camera": "gpusim.domain.camera", "Display": "gpusim.domain.display", "Optics": "gpusim.domain.optics",
     "Processor": "gpusim.domain.processor", "Scene": "gpusim.domain.scene", "Sensor": "gpusim.domain.sensor",
     "Cube": "gpusim.domain.content", "Basis": "gpusim.domain.content", "Materials": "gpusim.domain.content",
-    "Picture": "gpusim.domain.content",
+    "Picture": "gpusim.domain.content", "Illuminated": "gpusim.domain.illuminated",
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
     "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
     "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",
@@ -35,6 +35,7 @@ _PUBLIC = {
     "sensor_from_emva1288": "gpusim.data.emva1288",
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
+    "illuminated": "gpusim.data.illumination",
     "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "preview": "gpusim.preview",
 }
 __all__ = sorted(_PUBLIC)

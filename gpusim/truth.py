@@ -90,7 +90,7 @@ def viewed(scene) -> Scene:
     if scene.view.is_plain:
         return scene
     content = scene.content.on_host()
-    if content.labels is not None or content.is_spectral:  # splines overshoot, which a basis may
+    if type(content) is not Basis:  # splines overshoot, which a basis may
         content = Basis(content.wavelengths, content.bands_at(slice(None)), np.eye(len(content.wavelengths)))
     middle = [(n - 1) / 2 for n in content.shape]
     y, x = np.indices(content.shape)

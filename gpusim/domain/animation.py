@@ -98,13 +98,13 @@ class Animation:
         for number, actor in enumerate(self.actors):
             if not isinstance(actor, Actor):
                 raise BadData(f"actor {number}: {type(actor).__name__}, wanted an Actor")
-            if not actor.content.is_like(scene.content):
+            if not actor.content.is_like(scene.content.surfaces):
                 raise BadData(f"{scene.name}: actor {number} is a {actor.content.form}, the scene a "
-                              f"{scene.content.form}; wanted one form, and the same wavelengths and basis")
+                              f"{scene.content.surfaces.form}; wanted one form, and the same wavelengths and basis")
 
     def at(self, time: float) -> Scene:
         """The scene at a time [s]; its samples are not looked at again."""
-        content, ratio = self.scene.content, self.scene.samples_per_pixel
+        content, ratio = self.scene.content.surfaces, self.scene.samples_per_pixel
         planes = np.array(content.planes, np.promote_types(content.planes.dtype, np.float32))
         for actor in self.actors[::-1]:
             actor.onto(planes, time, ratio)

@@ -50,6 +50,11 @@ class Content:
         return None
 
     @property
+    def surfaces(self) -> "Content":
+        """What it shows without the light, where it knows that apart; else itself."""
+        return self
+
+    @property
     def entry_spectra(self) -> np.ndarray:
         """Spectrum of one unit of each entry, float64 (entries, L)."""
         return np.asarray(getattr(self, self.shared[0]), np.float64)
@@ -185,7 +190,7 @@ class Content:
     def _check_types(self, name):
         for key in self.samples:
             array = getattr(self, key)
-            kind, is_light = type_of(array), key == self.samples[-1]
+            kind, is_light = type_of(array), key != "ids"
             if kind is None or kind.kind not in (NUMBERS if is_light else WHOLE):
                 wanted = "float32, float16 or another type of real numbers" if is_light else "uint16 or uint8"
                 raise BadData(f"{name}: {key} of type {kind or array.dtype}, wanted {wanted}")

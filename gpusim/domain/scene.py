@@ -30,8 +30,9 @@ class Layer:
 class Scene:
     """Radiance of every scene point, L(x, lambda) = content(x, lambda) * illuminant(lambda).
 
-    content: Cube, Basis, Materials or Picture, the scene as samples on a square grid. It is the reflectance [1] when
-        the light is known; when only the radiance was measured it is that radiance and the illuminant is 1.
+    content: Cube, Basis, Materials, Picture or Illuminated, the scene as samples on a square grid. It is the
+        reflectance [1] when the light is known; when only the radiance was measured it is that radiance and the
+        illuminant is 1.
     illuminant: radiance of a perfect white diffuser in the scene's light [photon s-1 m-2 sr-1 nm-1].
     border: what lies outside the frame: "zero" (dark), "edge" (the outermost samples go on), "reflect" (mirrored),
         "scene" (the outermost `margin` samples of `content` are the surroundings and are not in the frame).
@@ -59,8 +60,8 @@ class Scene:
 
     def __post_init__(self):
         if not isinstance(self.content, Content):
-            raise BadData(f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials or "
-                          "Picture")
+            raise BadData(f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials, "
+                          "Picture or Illuminated")
         self.content.check(self.name)
         if self.border not in BORDERS:
             raise UnknownName("border", self.border, BORDERS)

@@ -6,6 +6,7 @@ gpusim's own keys, all arrays band-major:
     cube                                    (L, rows, cols)  form 1: samples
     coefficients, basis                     (K, rows, cols), (K, L)                         form 2: linear model
     ids, shading, spectra                   (rows, cols) integer, (rows, cols), (M, L)      form 3: materials
+    maps, lights                            (K, rows, cols), (K, L)                         form 2 in light that varies
     illuminant_wavelengths_nm, illuminant   (N,) [nm], (N,) [photon s-1 m-2 sr-1 nm-1], radiance of white: the content
                                             is reflectance; without these two it is radiance, in the same unit
     kind                                    "reflectance": of `cube`, when the light is not known; else "radiance"
@@ -22,6 +23,7 @@ import numpy as np
 
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadFile, shown
+from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.archive import NUMBERS, TEXT, open_archive
@@ -131,7 +133,11 @@ class _Archive:
                              self.planes("shading", *ids.shape), spectra.astype(np.float64))
         basis = self.array("basis", None, bands, negative=True).astype(np.float64)
         shape = (None, None, len(basis)) if form == "coef" else (len(basis), None, None)
-        return Basis(wavelengths, self.planes(form, *shape, pixel_major=form == "coef", negative=True), basis)
+        planes = self.planes(form, *shape, pixel_major=form == "coef", negative=True)
+        if "maps" not in self.stored:
+            return Basis(wavelengths, planes, basis)
+        lights = self.array("lights", None, bands, negative=True).astype(np.float64)
+        return Illuminated(wavelengths, self.planes("maps", len(lights), *planes.shape[1:]), planes, basis, lights)
 
     def lit(self, content, white):
         """Return reflectance and light where the light is known, else radiance and an illuminant of 1."""

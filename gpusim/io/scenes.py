@@ -14,6 +14,7 @@ from gpusim.domain.content import Cube, Picture
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
+from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.exr import read_exr
@@ -104,6 +105,9 @@ def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Sce
     """
     if light is None and luminance is None:
         return scene
+    if light and isinstance(scene.content, Illuminated):
+        raise BadFile(path, f"light {light!r} asked for, but the file's light varies over the scene; wanted luminance "
+                            "alone, or gpusim.illuminated")
     if scene.light_is_known:
         own = energy_from_photons(scene.illuminant)
         radiance = white_radiance(illuminant(light) if light else own, luminance or xyz(own)[1])

@@ -7,8 +7,10 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.content import Basis, Content, Materials, Picture, is_seen
 from gpusim.domain.foreign import type_of
+from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene
 from gpusim.kernels.spectral.decode import decode
+from gpusim.kernels.spectral.illuminate import illuminate
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
@@ -46,6 +48,8 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
 
     if isinstance(content, Picture):
         return decode(cut("codes"), device.array(content.curve) if curve is None else curve, device=device), None
+    if isinstance(content, Illuminated):
+        return illuminate(cut("maps"), cut("coefficients"), device=device), None
     *labels, entries = [cut(name) for name in content.samples]
     return entries, labels[0] if labels else None
 
@@ -83,8 +87,9 @@ class Reading:
     def windows(self, rows, cols) -> Content:
         """Windows of the samples in host memory: content whose arrays have the shape (..., n, h, w).
 
-        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture it is a Basis;
-        samples of float16 that come from a device are float32 of the same values.
+        rows: int, shape (n, h). cols: int, shape (n, w). Both are clipped to the frame. Of a picture, and in light
+        that varies, it is a Basis of what it was decoded to, or of the products; samples of float16 that come from a
+        device are float32 of the same values.
         """
         if self._stored is None:
             height, width = self.content.shape
@@ -97,8 +102,8 @@ class Reading:
         light = taken(entries, np.float32)
         if isinstance(content, Materials):
             return replace(content, ids=taken(ids, np.uint16), shading=light)
-        if isinstance(content, Picture):
-            return Basis(content.wavelengths, light, content.basis)
+        if isinstance(content, Picture | Illuminated):
+            return Basis(content.wavelengths, light, content.entry_spectra)
         return content.with_planes(light)
 
     def _taken(self, samples, dtype, rows, cols=None):

@@ -45,13 +45,17 @@ def scene_of(form):
     picture = gs.chart("deadleaves", size=SIZE)
     if form == "materials":
         return picture
+    if form == "illuminated":
+        rows, cols = picture.content.shape
+        ramp = np.linspace(1, 100, cols, dtype=np.float32) * np.ones((rows, 1), np.float32)
+        return gs.illuminated(picture, {"A": ramp, "D65": ramp[:, ::-1]})
     if form == "picture":
         return gs.picture(np.random.default_rng(1).integers(0, 256, (*SIZE[::-1], 3), np.uint8))
     bands = np.ascontiguousarray(picture.content.bands_at(slice(None)), np.float32)
     return replace(picture, content=gs.Cube(picture.wavelengths, bands.astype(form)))
 
 
-@pytest.mark.parametrize("form", ["materials", np.float32, "picture"])
+@pytest.mark.parametrize("form", ["materials", np.float32, "picture", "illuminated"])
 @pytest.mark.parametrize("tolerance", [None, 4e-4])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_a_programs_memory_is_predicted(camera, tolerance, form):

@@ -5,6 +5,7 @@ import pytest
 
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 
 WAVELENGTHS = np.linspace(400, 700, 7)
@@ -21,7 +22,8 @@ CURVE = np.zeros(2**16, np.float32)
 CURVE[200 * np.arange(1, 31)] = SHADING.ravel()
 FORMS = {"cube": Cube(WAVELENGTHS, TRUTH.astype(np.float32)), "basis": Basis(WAVELENGTHS, ONE_OF_FOUR, SPECTRA),
          "materials": Materials(WAVELENGTHS, IDS, SHADING, SPECTRA),
-         "picture": Picture(WAVELENGTHS, CODES, SPECTRA, CURVE)}
+         "picture": Picture(WAVELENGTHS, CODES, SPECTRA, CURVE),
+         "illuminated": Illuminated(WAVELENGTHS, ONE_OF_FOUR, np.ones((1, 5, 6), np.float32), np.ones((1, 7)), SPECTRA)}
 ROUNDING = 2e-7  # float32 samples, once more in sums that are float32: 2 x 6e-8 and the sum's own
 
 
@@ -75,17 +77,19 @@ def cube(content):
 def test_what_is_alike(content):
     for other in FORMS.values():
         assert content.is_like(other) is (other is content)
-    if content.form == "picture":  # its light in other numbers is a basis
+    if content.form in ("picture", "illuminated"):  # its light in other numbers is a basis
         assert content.with_planes(2 * content.planes).is_like(FORMS["basis"])
         assert content.is_like(content.with_samples(np.flip))
+    if content.form == "picture":
         assert not content.is_like(Picture(WAVELENGTHS, CODES, SPECTRA, CURVE / 2))
-    else:
+    if content.form in ("cube", "basis", "materials"):
         assert content.is_like(content.with_planes(2 * content.planes))
     assert (content.labels is None) is (content.form != "materials")
     assert content.is_spectral is (content.form == "cube")
-    # float32 samples, and ids as the 16 bits that devices take; codes of 16 bits, and what they are decoded to
+    # float32 samples, and ids as the 16 bits that devices take; codes of 16 bits, and what they are decoded to;
+    # maps and surfaces, and their products
     assert content.nbytes == {"cube": 4 * 7 * 30, "basis": 4 * 4 * 30, "materials": 6 * 30,
-                              "picture": (2 + 4) * 4 * 30}[content.form]
+                              "picture": (2 + 4) * 4 * 30, "illuminated": 4 * (4 + 1 + 4) * 30}[content.form]
 
 
 def test_bad_content(content):
@@ -99,7 +103,7 @@ def test_bad_content(content):
 
 
 def test_what_is_no_content():
-    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis, Materials or Picture"):
+    with pytest.raises(BadData, match="content ndarray, wanted a Cube, Basis, Materials, Picture or Illuminated"):
         Scene(TRUTH, unit_light(WAVELENGTHS))
     with pytest.raises(OutOfRange, match=r"material id = 9: allowed is 0 \.\. 3"):
         Materials(WAVELENGTHS, np.full((5, 6), 9), SHADING, SPECTRA).check("s")
