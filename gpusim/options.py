@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import math
 import re
 
 from gpusim.domain.errors import BadData, OutOfRange
@@ -18,7 +19,7 @@ def scene_of(arguments, name: str | None = None):
     bands = dict(_named(text) for text in arguments.band)
     return open_scene(arguments.scene if name is None else name, size=arguments.size, light=arguments.light,
                       luminance=arguments.luminance, bands=bands, border=arguments.border,
-                      samples_per_pixel=arguments.samples_per_pixel)
+                      samples_per_pixel=arguments.samples_per_pixel, fov=arguments.fov, depth=arguments.depth)
 
 
 def operated(camera, arguments):
@@ -135,3 +136,14 @@ def add_asked(command, several: bool = False):
     _add_operation(command)
     command.add_argument("--band", action="append", default=[], metavar="NAME=NM",
                           help="wavelength of an .exr channel that is not named by it; may be repeated")
+    command.add_argument("--fov", type=_fov, metavar="DEGREES", help="horizontal field of view of the scene "
+                         "(default: the file's, or what the camera sees)")
+    command.add_argument("--depth", choices=("axis", "ray", "none"), default="axis", help="distances of an .exr's "
+                         "depth channel [m] are along the optical axis (Blender), along each pixel's ray (Mitsuba; "
+                         "needs --fov), or left (default: axis)")
+
+
+def _fov(text):
+    """Degrees on a command line as radians."""
+    degrees = _positive("degrees above 0 and below 180", 179.99)(text)
+    return math.radians(degrees)

@@ -11,6 +11,9 @@ HERE = Path(__file__).parent
 
 LUMINOUS_EFFICACY = 683.0  # [lm W-1], CIE 15:2018
 
+# XYZ to the cone-like primaries of CIECAM97s, in which the white is adapted (Lam 1985; Lindbloom's digits).
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
 
 @functools.cache
 def tables(name: str) -> dict[str, np.ndarray]:
@@ -51,3 +54,8 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     if light:
         weights = weights * light.at(points)
     return LUMINOUS_EFFICACY * (spectrum.at(points) * weights) @ cmf().at(points).T
+
+
+def adaptation(white, to):
+    """Matrix (3, 3) that takes XYZ `white` to the white `to`, scaling cone-like responses."""
+    return np.linalg.solve(BRADFORD, ((BRADFORD @ to) / (BRADFORD @ white))[:, None] * BRADFORD)

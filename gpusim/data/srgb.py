@@ -4,12 +4,16 @@ import functools
 
 import numpy as np
 
-from gpusim.data.colorimetry import tables, xyz
+from gpusim.data.colorimetry import BRADFORD, adaptation, tables, xyz
 from gpusim.data.lights import illuminant
+from gpusim.domain.errors import BadData
 from gpusim.domain.spectrum import Spectrum
 
 # Chromaticities x, y of red, green and blue, IEC 61966-2-1.
 SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
+SRGB_WHITE = (0.3127, 0.3290)
+CLOSE = 1e-5  # of chromaticities stored as float32
+SEEN = 1e-4  # of a colour's luminance: what lies no farther outside is rounding of half floats
 
 
 @functools.cache
@@ -35,3 +39,42 @@ def srgb_primaries() -> Spectrum:
     """
     table = tables("srgb")
     return Spectrum(table["wavelengths"], table["primaries"], "sRGB primaries")
+
+
+def srgb_from_rgb(chromaticities) -> np.ndarray | None:
+    """Return the matrix from another linear RGB to linear sRGB, shape (3, 3), or None where they are the same.
+
+    chromaticities: CIE 1931 (x, y) of red, green, blue and white, shape (4, 2). White is adapted (Bradford), so that
+    (1, 1, 1) stays white; but the axes of XYZ themselves have no white of their own. Raises BadData.
+    """
+    given = np.asarray(chromaticities, np.float64)
+    if np.abs(given - [*SRGB_PRIMARIES, SRGB_WHITE]).max() < CLOSE:
+        return None
+    if not np.abs(given).max() <= 10 or not given[3, 1] > 0:  # NaN is refused as well
+        raise BadData(f"chromaticities {given.tolist()}: wanted (x, y) of red, green, blue and white")
+    to_srgb = np.linalg.inv(srgb_to_xyz())
+    if np.abs(given[:3] - [(1, 0), (0, 1), (0, 0)]).max() < CLOSE:
+        return to_srgb
+    columns = np.stack([*given.T, 1 - given.sum(axis=1)])
+    primaries, white = columns[:, :3], columns[:, 3] / columns[1, 3]
+    if abs(np.linalg.det(primaries)) < 1e-6 or not (BRADFORD @ white > 0).all():
+        raise BadData(f"chromaticities {given.tolist()}: primaries on one line, or no white")
+    return to_srgb @ adaptation(white, srgb_to_xyz().sum(axis=1)) @ (primaries * np.linalg.solve(primaries, white))
+
+
+def drawn_into_srgb(linear: np.ndarray) -> float:
+    """Draw colours that sRGB cannot show towards grey of their luminance until they have no negative part, in place.
+
+    linear: linear sRGB, float32, shape (3, rows, cols). What has no luminance becomes black. Returns the share of
+    samples that were outside by more than SEEN.
+    """
+    lowest = linear.min(axis=0)
+    if lowest.min() >= 0:
+        return 0.0
+    luminance = np.maximum(np.einsum("i,ijk->jk", srgb_to_xyz()[1].astype(np.float32), linear), 0)
+    share = float((lowest < -SEEN * luminance).mean())
+    below = lowest < 0
+    kept = np.divide(luminance, luminance - lowest, out=np.ones_like(luminance), where=below)
+    for plane in linear:
+        np.copyto(plane, np.maximum(luminance + kept * (plane - luminance), 0), where=below)
+    return share

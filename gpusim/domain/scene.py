@@ -44,6 +44,7 @@ class Scene:
     layers: things in front of `content`, the nearest first, for a scene that knows what they hide; it needs `depth`.
     view: where the camera looks; what it shows takes the place of the scene, and goes on outside the frame as `border`
         says. Not with `depth`.
+    notes: what a file could not give as it is; reports repeat it.
     Raises BadData, OutOfRange, UnknownName.
     """
 
@@ -57,6 +58,7 @@ class Scene:
     samples_per_pixel: float = 1.0
     layers: tuple[Layer, ...] = ()
     view: View = field(default_factory=View)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         if not isinstance(self.content, Content):

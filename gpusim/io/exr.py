@@ -1,37 +1,54 @@
-"""OpenEXR: spectral scenes in, spectral scenes and linear pictures out.
-
-Layout of spectral files: Fichet, Pacanowski & Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021.
-"""
+"""OpenEXR: spectral scenes in, spectral scenes and linear pictures out; `exr_channels` tells what a file holds."""
 
 import math
-import re
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from gpusim.data.srgb import drawn_into_srgb, srgb_from_rgb, srgb_to_xyz
 from gpusim.domain.display import DISPLAYS
-from gpusim.domain.errors import BadData, BadFile, UnknownName
+from gpusim.domain.errors import BadData, BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
 from gpusim.io.atomic import atomic_path
-from gpusim.io.files import open_file, reading
+from gpusim.io.exr_channels import contents
+from gpusim.io.files import named, open_file, reading
 
-BAND = re.compile(r"(S0|T)\.(\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?)nm")
-SPECTRAL = re.compile(r"(S0|T)\.\d")  # meant to be a band, whether or not its name can be read
 UNITS = "W.m^-2.sr^-1.nm^-1"
+PLANES_OF_COLORS = 9  # that are held at once, beside the three, while colours become sRGB's
+OUTSIDE = ("colours outside sRGB, of which no reflectances are made: {:.2g} % of the samples, drawn towards grey of "
+           "the same luminance until they fit")
 
 
-def read_exr(path, bands=None) -> tuple[str, np.ndarray | None, np.ndarray]:
-    """Read a spectral or a linear sRGB OpenEXR file.
+@dataclass(frozen=True, eq=False)
+class Exr:
+    """What an OpenEXR file holds.
+
+    kind: "radiance", values [photon s-1 m-2 sr-1 nm-1]; "reflectance", values [1]; or "rgb", linear sRGB, white 1.
+    wavelengths: [nm], or None of "rgb". values: float32, shape (L, rows, cols).
+    depth_channel, depth: its name and distances as they are stored, shape (rows, cols), or None.
+    notes: what could not be taken as it is.
+    """
+
+    kind: str
+    wavelengths: np.ndarray | None
+    values: np.ndarray
+    depth_channel: str | None
+    depth: np.ndarray | None
+    notes: tuple[str, ...]
+
+
+def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
+    """Read a spectral or a linear RGB OpenEXR file, and its depth.
 
     bands: {channel: wavelength [nm]} for files that do not say the wavelength in the channel's name, such as
-        Mitsuba's; these channels then are the spectral radiance, whatever other channels there are.
-    Returns (kind, wavelengths, values), values float32 of shape (L, rows, cols):
-    "radiance", wavelengths [nm], values [photon s-1 m-2 sr-1 nm-1], from channels S0.<wavelength>nm
-        [W m-2 sr-1 nm-1]; the polarisation channels S1 to S3 are not read;
-    "reflectance", wavelengths [nm], values [1], from channels T.<wavelength>nm;
-    "rgb", None, linear values, from a file that has only R, G, B and perhaps A.
+        Mitsuba's; these channels then are the spectral radiance [W m-2 sr-1 nm-1], whatever other channels there are.
+    depth: whether to look for a channel of distances: Z, depth, Depth.Z (Blender), depth.T (Mitsuba's AOV).
+    Read are channels S0.<wavelength>nm [W m-2 sr-1 nm-1], T.<wavelength>nm (reflectance), Indigo's wavelength<edge>
+    [W m-2 sr-1 m-1], each taken at the middle of its bucket, or else a picture of R, G, B, also in a layer Combined, or
+    X, Y, Z. RGB of other primaries (`chromaticities`) becomes linear sRGB, its white adapted (Bradford): (1, 1, 1)
+    stays white; XYZ is taken as it is. Polarised and bispectral files are refused.
     Raises BadFile, UnknownName (a name in `bands`) and DoesNotFit.
     """
     import OpenEXR
@@ -45,71 +62,67 @@ def read_exr(path, bands=None) -> tuple[str, np.ndarray | None, np.ndarray]:
         deep = any("deep" in str(header.get("type")) for header in parts)
     if deep:
         raise BadFile(path, "deep data (several samples in a pixel); wanted a flat picture")
-    kind, chosen = _choose(path, names, bands or {})
+    held = contents(path, names, bands or {})
     rows, cols = sizes[0]
     # Every channel of every part is read, at worst as 4-byte numbers, and what was chosen is copied into the cube.
     stored = sum(len(header["channels"]) * math.prod(size) for header, size in zip(parts, sizes, strict=True))
-    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", 4 * (stored + len(chosen) * rows * cols))
+    copied = len(held.channels) + (PLANES_OF_COLORS if held.is_picture else 1)
+    require_memory(f"{path}: {len(names)} channels of {cols} x {rows} pixels", 4 * (stored + copied * rows * cols))
     with reading(path, "an OpenEXR file whose pixels can be read"):
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    values = np.empty((len(chosen), rows, cols), np.float32)
-    for plane, (name, nm) in zip(values, chosen, strict=True):
-        pixels = channels[name].pixels
-        if pixels is None or pixels.shape != (rows, cols):
-            raise BadFile(path, f"channel {name!r}: subsampled or damaged, wanted {cols} x {rows} pixels")
-        if pixels.dtype.kind != "f":
-            raise BadFile(path, f"channel {name!r}: {pixels.dtype}, wanted half or float")
-        if not np.isfinite([pixels.min(), pixels.max()]).all():
-            raise BadFile(path, f"channel {name!r}: NaN or infinite values")
-        if pixels.min() < 0:
-            raise BadFile(path, f"channel {name!r}: negative values (lowest {pixels.min():.3g})")
-        plane[:] = pixels
-        if kind == "radiance":
-            plane *= nm * 1e-9 / (PLANCK * LIGHT_SPEED)
-    return kind, None if kind == "rgb" else np.array([nm for _, nm in chosen]), values
+    values = np.empty((len(held.channels), rows, cols), np.float32)
+    for plane, (name, nm) in zip(values, held.channels, strict=True):
+        plane[:] = _pixels(path, channels, name, (rows, cols), finite=True, negative=nm is None)
+        if held.kind == "radiance" and nm is not None:
+            plane *= held.unit * nm * 1e-9 / (PLANCK * LIGHT_SPEED)
+    notes = []
+    if held.is_picture:
+        with named(path):
+            values, notes = _colors(values, held.kind, parts[0].get("chromaticities"))
+    distances = _pixels(path, channels, held.depth, (rows, cols)) if depth and held.depth else None
+    if distances is not None and held.other_depths:
+        notes = [*notes, f"depth is channel {held.depth!r}; not read: {', '.join(held.other_depths[:4])}"]
+    return Exr("rgb" if held.is_picture else held.kind,
+               None if held.is_picture else np.array([nm for _, nm in held.channels]), values,
+               None if distances is None else held.depth, distances, tuple(notes))
+
+
+def _pixels(path, channels, name, shape, *, finite=False, negative=True):
+    """The numbers of a channel."""
+    pixels = channels[name].pixels
+    if pixels is None or pixels.shape != shape:
+        raise BadFile(path, f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels")
+    if pixels.dtype.kind != "f":
+        raise BadFile(path, f"channel {name!r}: {pixels.dtype}, wanted half or float")
+    if finite and not np.isfinite([pixels.min(), pixels.max()]).all():
+        raise BadFile(path, f"channel {name!r}: NaN or infinite values")
+    if not negative and pixels.min() < 0:
+        raise BadFile(path, f"channel {name!r}: negative values (lowest {pixels.min():.3g})")
+    return pixels
+
+
+def _colors(values, kind, chromaticities):
+    """Linear sRGB of a picture, not negative, and notes. Raises BadData."""
+    matrix = None
+    if kind == "xyz":
+        matrix = np.linalg.inv(srgb_to_xyz())
+    elif chromaticities is not None:
+        if np.shape(chromaticities) != (8,) or np.asarray(chromaticities).dtype.kind != "f":
+            raise BadData("chromaticities: not (x, y) of red, green, blue and white")
+        matrix = srgb_from_rgb(np.reshape(chromaticities, (4, 2)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        if matrix is not None:
+            values = np.einsum("ij,jkl->ikl", matrix.astype(np.float32), values)
+        outside = drawn_into_srgb(values)
+    if not np.isfinite([values.min(), values.max()]).all():
+        raise BadData("colours too large: not finite in sRGB")
+    return values, [OUTSIDE.format(100 * outside)] if outside else []
 
 
 def _size(header):
     """Rows and columns of a part."""
     (left, top), (right, bottom) = (corner.tolist() for corner in header["dataWindow"])
     return bottom - top + 1, right - left + 1
-
-
-def _choose(path, names, bands):
-    """Return what the file holds, and its channels as (name, wavelength) in ascending wavelength."""
-    for name in bands:
-        if name not in names:
-            raise UnknownName(f"channel of {path}", name, names)
-    if bands:
-        return "radiance", _ascending(path, bands.items())
-    matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
-    for name, match in matches:
-        if not match:
-            raise BadFile(path, f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
-                                "(fluorescence and frequencies are not supported)")
-    kinds = {match[1] for _, match in matches}
-    if len(kinds) > 1:
-        raise BadFile(path, "holds both emissive (S0) and reflective (T) channels, which cannot be told apart as light")
-    if kinds:
-        found = [(name, float(match[2].replace(",", "."))) for name, match in matches]
-        return "radiance" if kinds == {"S0"} else "reflectance", _ascending(path, found)
-    if {"R", "G", "B"} <= set(names) <= {"R", "G", "B", "A"}:
-        return "rgb", [("R", None), ("G", None), ("B", None)]
-    listed = ", ".join(sorted(names)[:8])
-    raise BadFile(path, f"no spectral channels (S0.<wavelength>nm or T.<wavelength>nm); there are {listed}; "
-                        "say their wavelengths with --band NAME=nm")
-
-
-def _ascending(path, channels):
-    channels = sorted(channels, key=lambda channel: channel[1])
-    if len(channels) < 2:
-        raise BadFile(path, f"only one spectral channel ({channels[0][0]!r}); at least 2 are needed")
-    for (one, first), (two, second) in pairwise(channels):
-        if first == second:
-            raise BadFile(path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm")
-        if not 0 < first < second < np.inf:
-            raise BadFile(path, f"channels {one!r} and {two!r}: {first:g} and {second:g} nm, wanted positive ones")
-    return channels
 
 
 def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=False):

@@ -17,6 +17,7 @@ from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.io.depth import axial, check_depth
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
 from gpusim.io.npz import read_npz
@@ -27,7 +28,7 @@ LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not kno
 
 
 def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
-               samples_per_pixel=None) -> Scene:
+               samples_per_pixel=None, depth="axis") -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file: spectral or RGB .exr, .npz, or a photograph .png, .jpg.
 
     size: columns and rows of the frame of a chart [pixel]; a file has its own size.
@@ -38,9 +39,15 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     border, fov [rad]: as in Scene, in exchange for the scene's own.
     samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
         file keeps its samples, they make fewer pixels.
+    depth: how to take an .exr's channel of distances [m] (Z, Depth.Z, depth.T ...): along the optical "axis", as
+        Blender writes them; along each pixel's "ray", as Mitsuba does (from its near_clip on), for which `fov` is
+        needed; "none": leave a file's depth.
     Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
     path = Path(name_or_path)
+    check_depth(depth, fov)
+    if depth == "ray" and path.suffix.lower() != ".exr":
+        raise OutOfRange("depth", '"ray"', "for .exr files only")
     if bands and path.suffix.lower() != ".exr":
         raise OutOfRange("bands", sorted(bands), "none: bands are named in .exr files only")
     if str(name_or_path) in CHARTS:
@@ -51,7 +58,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         if size:
             raise OutOfRange("size", f"{size[0]} x {size[1]}", f"for charts only; {path} has its own size")
         white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
-        scene = _read(path, white, bands)
+        scene = _read(path, white, bands, depth, fov)
         scene = relit(path, scene, light, luminance)
     else:
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
@@ -82,20 +89,31 @@ def _white(light, luminance):
     return white_radiance(illuminant(light), luminance)
 
 
-def _read(path, white, bands):
+def _read(path, white, bands, depth, fov):
     """Return the scene of a file; `white` is the radiance of white where the file does not know its light."""
     if path.suffix.lower() == ".npz":
-        return read_npz(path, white)
-    illuminated = white
+        scene = read_npz(path, white)
+        return dataclasses.replace(scene, depth=None) if depth == "none" else scene
     if path.suffix.lower() == ".exr":
-        kind, wavelengths, values = read_exr(path, bands)
-        content = lift(values) if kind == "rgb" else Cube(wavelengths, values)
-        if kind == "radiance":
-            illuminated = unit_light(wavelengths)
-    else:
-        content = read_photo(path)
+        return _of_exr(path, white, bands, depth, fov)
+    content = read_photo(path)
     with named(path):
-        return Scene(content, illuminated, name=path.stem)
+        return Scene(content, white, name=path.stem)
+
+
+def _of_exr(path, white, bands, along, fov):
+    held = read_exr(path, bands, depth=along != "none")
+    if along == "ray" and held.depth is None:
+        raise BadFile(path, 'no channel of depth, which is asked for by depth = "ray"')
+    content = lift(held.values) if held.kind == "rgb" else Cube(held.wavelengths, held.values)
+    depth, notes = None, held.notes
+    if held.depth is not None:
+        depth = axial(path, held.depth_channel, held.depth, along, fov)
+        how = "along each pixel's ray" if along == "ray" else "along the optical axis"
+        notes = (*notes, f"depth: channel {held.depth_channel!r}, taken as metres {how}")
+    with named(path):
+        return Scene(content, unit_light(held.wavelengths) if held.kind == "radiance" else white, depth=depth,
+                     name=path.stem, notes=notes)
 
 
 def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
+from gpusim.data.colorimetry import LUMINOUS_EFFICACY, adaptation, cmf
 from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
-from gpusim.planner.color import BRADFORD
 from gpusim.planner.sampling import AREA, frame_start, pixel_taps
 from gpusim.planner.weights import product_weights
 
@@ -51,8 +50,7 @@ def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, ligh
     else:
         scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
-    gains = (BRADFORD @ display.xyz_from_rgb.sum(1)) / (BRADFORD @ white)
-    return _binned(pixel_sums(scene, np.linalg.solve(BRADFORD, gains[:, None] * BRADFORD) @ weights), shape)
+    return _binned(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape)
 
 
 def pixel_sums(scene: Scene, weights) -> np.ndarray:

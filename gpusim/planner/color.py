@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.data.colorimetry import cmf
+from gpusim.data.colorimetry import BRADFORD, adaptation, cmf
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances as measured
 from gpusim.domain.display import DISPLAYS, Display
@@ -13,9 +13,6 @@ from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_e
 from gpusim.planner.weights import product_weights
 
 METHODS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal")
-
-# XYZ to the cone-like primaries of CIECAM97s, in which the white is adapted (Lam 1985; Lindbloom's digits).
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 # Of white in the strongest channel, weighed against colour errors where more than three channels leave a choice. At
 # 1e5 electrons shot noise is a third of the colour error of a good camera: it bars the matrices that gain a fraction of
@@ -148,11 +145,6 @@ def _determined(of):
         raise BadData(f"color matrix: the camera's responses to the {count} training reflectances span only {rank} of "
                       f"{channels} dimensions")
     return of
-
-
-def adaptation(white, to):
-    """Matrix (3, 3) that takes XYZ `white` to the white `to`, scaling cone-like responses."""
-    return np.linalg.solve(BRADFORD, ((BRADFORD @ to) / (BRADFORD @ white))[:, None] * BRADFORD)
 
 
 def _least_squares(camera, xyz, variance):

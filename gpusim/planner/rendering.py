@@ -5,14 +5,14 @@ from operator import attrgetter
 
 import numpy as np
 
-from gpusim.data.colorimetry import xyz
+from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
 from gpusim.domain.processor import Processor
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.planner.balance import estimate_white
-from gpusim.planner.color import TransformSet, adaptation, color_matrix, transform_set
+from gpusim.planner.color import TransformSet, color_matrix, transform_set
 from gpusim.planner.plan import Plan
 
 _BEFORE_TONE = attrgetter(*(part.name for part in fields(Processor) if part.name != "tone"))

@@ -166,6 +166,7 @@ class Shots:
         verdict = plan.verdict and account.verdict(simulator.tolerance, plan.verdict.remedy)
         notes = [] if scene.light_is_known else ["the scene's light is unknown: colours are rendered for "
                                                  f"{camera.processor.target}{white}"]
+        notes += scene.notes
         if plan.planned_for:
             notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
                          f"of the {'planes' if plan.mix is not None else 'blur left out'} are of that")

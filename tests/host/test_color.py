@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gpusim.data.colorimetry import cmf
+from gpusim.data.colorimetry import BRADFORD, cmf
 from gpusim.data.curves import curve
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
@@ -11,7 +11,7 @@ from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
 from gpusim.kernels.processor.color import color
-from gpusim.planner.color import BRADFORD, LIGHTS, METHODS, color_matrix, transform_set
+from gpusim.planner.color import LIGHTS, METHODS, color_matrix, transform_set
 from gpusim.planner.weights import product_weights
 
 pytestmark = pytest.mark.filterwarnings("ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib")  # colour's chatter

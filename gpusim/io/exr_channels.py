@@ -1,0 +1,137 @@
+"""What an OpenEXR file holds, by the names of its channels.
+
+Spectral layouts: Fichet, Pacanowski & Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021; Indigo's, as
+its technical reference has it ("Spectral Input and Output"). Passes: Blender's and Mitsuba 3's names.
+"""
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gpusim.domain.errors import BadFile, UnknownName
+
+NUMBER = r"\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?"
+BAND = re.compile(rf"(S0|T)\.({NUMBER})nm")
+SPECTRAL = re.compile(r"(S0|T)\.\d")  # meant to be a band, whether or not its name can be read
+BISPECTRAL = re.compile(rf"T\.{NUMBER}nm\.{NUMBER}nm")
+POLARISED = re.compile(r"S[123]\..+")
+BUCKET = re.compile(r"wavelength(\d+(?:_\d+)?)")
+UNEVEN = 0.01  # of a bucket's width: names have two decimals
+PICTURE = re.compile(r"(|(?:.+\.)?Combined\.)R")  # the layer in which a colour picture is
+DEPTH = re.compile(r"Z|(?:.+\.)?depth(?:\.\w+)?|(?:.+\.)?Depth(?:\.\w+)?")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """kind: "radiance", "reflectance", "rgb" or "xyz". channels: (name, wavelength [nm] or None), in order.
+
+    unit: of radiance [W m-2 sr-1 nm-1]. depth: name of the channel of distances, or None; other_depths: not chosen.
+    """
+
+    kind: str
+    channels: list[tuple[str, float | None]]
+    unit: float = 1.0
+    depth: str | None = None
+    other_depths: tuple[str, ...] = ()
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether the channels are colours, not wavelengths."""
+        return self.kind in ("rgb", "xyz")
+
+
+def contents(path, names, bands) -> Contents:
+    """Find out what a file holds.
+
+    names: of its channels. bands: {channel: wavelength [nm]} that the user gave; nothing else is asked then.
+    Raises BadFile, and UnknownName for a name in `bands`.
+    """
+    depths = [name for name in names if DEPTH.fullmatch(name) and name not in bands]
+    depths.sort(key=lambda name: name != "Z")
+    found = _picture(path, names, bands, depths)
+    if found.kind == "xyz" and "Z" in depths:
+        depths.remove("Z")
+    return Contents(found.kind, found.channels, found.unit, depths[0] if depths else None, tuple(depths[1:]))
+
+
+def _picture(path, names, bands, depths):
+    for name in bands:
+        if name not in names:
+            raise UnknownName(f"channel of {path}", name, names)
+    if bands:
+        return Contents("radiance", _ascending(path, bands.items()))
+    _require_intensity(path, names)
+    found = _fichet(path, names) or _indigo(path, names) or _colors(path, names, depths)
+    if found is None:
+        listed = ", ".join(sorted(names)[:8])
+        raise BadFile(path, "no spectral channels (S0.<wavelength>nm, T.<wavelength>nm, wavelength<nm>) and no picture "
+                            f"of R, G, B alone; there are {listed}; say wavelengths with --band NAME=nm")
+    return found
+
+
+def _require_intensity(path, names):
+    """Refuse light of which the polarisation is told, and surfaces that answer at another wavelength."""
+    for name in sorted(names):
+        if POLARISED.fullmatch(name):
+            raise BadFile(path, f"channel {name!r}: polarised light, which is not simulated; write the file without "
+                                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm")
+        if BISPECTRAL.fullmatch(name):
+            raise BadFile(path, f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated; "
+                                "write the file without its T.<nm>.<nm> channels")
+
+
+def _fichet(path, names):
+    matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
+    for name, match in matches:
+        if not match:
+            raise BadFile(path, f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
+                                "(other units and frequencies are not supported)")
+    kinds = {match[1] for _, match in matches}
+    if len(kinds) > 1:
+        raise BadFile(path, "holds both emissive (S0) and reflective (T) channels, which cannot be told apart as light")
+    if not kinds:
+        return None
+    found = [(name, float(match[2].replace(",", "."))) for name, match in matches]
+    return Contents("radiance" if kinds == {"S0"} else "reflectance", _ascending(path, found))
+
+
+def _indigo(path, names):
+    """Buckets of light in W m-2 sr-1 m-1, each named by its lower edge; its wavelength here is its middle."""
+    edges = [(name, float(match[1].replace("_", "."))) for name in names if (match := BUCKET.fullmatch(name))]
+    if not edges:
+        return None
+    edges = _ascending(path, edges)
+    width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
+    if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
+        raise BadFile(path, f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "
+                            "that are equally spaced")
+    return Contents("radiance", [(name, edge + width / 2) for name, edge in edges], unit=1e-9)
+
+
+def _colors(path, names, depths):
+    layers = sorted(match[1] for name in names if (match := PICTURE.fullmatch(name)))
+    if "" in layers:
+        layers = [""]  # the others are passes of this one
+    if len(layers) > 1:
+        shown = ", ".join(f"{layer}R" for layer in layers[:4])
+        raise BadFile(path, f"{len(layers)} pictures ({shown} ...); wanted one")
+    plain = {name for name in names if "." not in name} - set(depths) - set("RGBA")
+    for kind, layer in [("rgb", layer) for layer in layers] or [("xyz", "")]:
+        channels = [f"{layer}{letter}" for letter in kind.upper()]
+        if set(channels) <= set(names) and not plain - set(channels):
+            return Contents(kind, [(name, None) for name in channels])
+    return None
+
+
+def _ascending(path, channels):
+    channels = sorted(channels, key=lambda channel: channel[1])
+    if len(channels) < 2:
+        raise BadFile(path, f"only one spectral channel ({channels[0][0]!r}); at least 2 are needed")
+    for (one, first), (two, second) in pairwise(channels):
+        if first == second:
+            raise BadFile(path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm")
+        if not 0 < first < second < np.inf:
+            raise BadFile(path, f"channels {one!r} and {two!r}: {first:g} and {second:g} nm, wanted positive ones")
+    return channels
