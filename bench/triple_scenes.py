@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 import gpusim as gs
 from gpusim.data.lights import white_radiance
-from gpusim.data.mosaics import mosaic
+from gpusim.domain.mosaics import mosaic
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.io.photo import read_samples
 

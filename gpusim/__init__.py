@@ -6,6 +6,7 @@ frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
@@ -36,9 +37,60 @@ _PUBLIC = {
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
     "illuminated": "gpusim.data.illumination",
-    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "preview": "gpusim.preview",
+    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "scene_from": "gpusim.io.arrays",
+    "preview": "gpusim.preview",
 }
 __all__ = sorted(_PUBLIC)
+
+if TYPE_CHECKING:  # the same for type checkers and editors, which do not run the code; a test compares the two
+    from gpusim.backends import open_device as open_device
+    from gpusim.batches import Batch as Batch
+    from gpusim.captures.bracket import bracket as bracket, lengthened as lengthened
+    from gpusim.captures.burst import average as average, burst as burst
+    from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
+    from gpusim.captures.focus import autofocus as autofocus
+    from gpusim.captures.merge import (
+        merge_bracket as merge_bracket,
+        merge_burst as merge_burst,
+        merge_flash as merge_flash,
+    )
+    from gpusim.captures.moving import expose_motion as expose_motion, expose_moving as expose_moving
+    from gpusim.captures.reads import read_nondestructively as read_nondestructively
+    from gpusim.data.cameras import camera_names as camera_names, open_camera as open_camera
+    from gpusim.data.charts import chart as chart
+    from gpusim.data.displays import (
+        display_names as display_names,
+        displayed as displayed,
+        open_display as open_display,
+    )
+    from gpusim.data.emva1288 import sensor_from_emva1288 as sensor_from_emva1288
+    from gpusim.data.illumination import illuminated as illuminated
+    from gpusim.data.lights import illuminant as illuminant
+    from gpusim.domain.animation import Actor as Actor, Animation as Animation
+    from gpusim.domain.camera import Camera as Camera
+    from gpusim.domain.content import Basis as Basis, Cube as Cube, Materials as Materials, Picture as Picture
+    from gpusim.domain.display import Display as Display
+    from gpusim.domain.errors import GpusimError as GpusimError
+    from gpusim.domain.exposure import AutoExposure as AutoExposure, exposure_value as exposure_value
+    from gpusim.domain.flicker import Flicker as Flicker
+    from gpusim.domain.illuminated import Illuminated as Illuminated
+    from gpusim.domain.motion import Motion as Motion
+    from gpusim.domain.noise import Noise as Noise
+    from gpusim.domain.optics import Optics as Optics
+    from gpusim.domain.processor import Processor as Processor
+    from gpusim.domain.scene import Layer as Layer, Scene as Scene
+    from gpusim.domain.sensor import Sensor as Sensor
+    from gpusim.domain.spectrum import Spectrum as Spectrum
+    from gpusim.domain.tolerance import Tolerance as Tolerance
+    from gpusim.domain.view import View as View
+    from gpusim.frame import Frame as Frame
+    from gpusim.io.arrays import scene_from as scene_from
+    from gpusim.io.events import write_events as write_events
+    from gpusim.io.scenes import open_scene as open_scene, picture as picture
+    from gpusim.preview import preview as preview
+    from gpusim.program.program import Program as Program
+    from gpusim.readout import Readout as Readout
+    from gpusim.simulator import Simulator as Simulator
 
 
 def __getattr__(name):

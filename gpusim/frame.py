@@ -119,6 +119,6 @@ class Frame:
     def __getstate__(self):
         return dict(vars(self.complete()))
 
-    def save(self, path):
+    def save(self, path) -> None:
         """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""
         write_frame(path, self)

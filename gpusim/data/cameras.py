@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.data.camera_keys import MICRO, SECTIONS, section_fields
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
 from gpusim.data.learned import read_table
@@ -18,6 +17,7 @@ from gpusim.data.lights import illuminant
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.camera import Camera
+from gpusim.domain.camera_keys import MICRO, SECTIONS, section_fields
 from gpusim.domain.display import Display
 from gpusim.domain.errors import LONGEST_VALUE, BadFile, UnknownName, near, one_line, shown
 from gpusim.domain.noise import Noise, reset_noise
@@ -29,6 +29,8 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.io.files import named, read_text, reading
 
 _FOLDER = Path(__file__).with_name("cameras")
+BASE = "phone"  # what an empty file is
+INSTEAD = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there is one
 LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
 LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
 # A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
@@ -44,13 +46,62 @@ def open_camera(name_or_path) -> Camera:
     """Open a built-in camera by its name, or a camera file (TOML).
 
     A file's keys are the fields of Optics, Sensor, Processor and Display; a key that has a unit ends in it, such as
-    `pixel_pitch_um`. Raises BadFile, naming file and key, and UnknownName for a name that is neither.
+    `pixel_pitch_um`. With `base`, a built-in camera's name or a file beside it, all keys that it does not have are
+    those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
+    name that is neither.
     """
     return camera_of(*camera_table(name_or_path))
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
-    """A camera's file, and its keys as they are written there. Raises as `open_camera`."""
+    """A camera's file, and its keys, with those of its base. Raises as `open_camera`."""
+    path, table = _file_table(name_or_path)
+    name, own, chain = table.pop("name", path.stem), table, [path.resolve()]
+    base = own.pop("base", None if own else BASE)
+    while base is not None:
+        place = base if base in camera_names() else chain[-1].parent / base if type(base) is str else None
+        if place is None:
+            raise BadFile(chain[-1], f"base = {shown(base)}: wanted a camera's name or file")
+        if type(place) is not str and not os.path.exists(place):
+            raise BadFile(chain[-1], f"base = {shown(base)}: no such camera or file; cameras are "
+                                     f"{', '.join(camera_names())}")
+        file, below = _file_table(place)
+        if file.resolve() in chain:
+            raise BadFile(chain[-1], f"base = {shown(base)}: is based on this file itself")
+        chain.append(file.resolve())
+        base = below.pop("base", None)
+        below.pop("name", None)
+        table = _over(anchored(file, below), table)
+    return path, {"name": name, **table}
+
+
+def anchored(path: Path, table: dict) -> dict:
+    """A table whose files, beside the camera's file `path`, are named from anywhere."""
+    return {section: {key: str((path.parent / value).resolve()) if _is_file(path, value) else value
+                      for key, value in keys.items()} if isinstance(keys, dict) else keys
+            for section, keys in table.items()}
+
+
+def _is_file(path, value):
+    return isinstance(value, str) and Path(value).suffix and os.path.isfile(path.parent / value)
+
+
+def _over(below, table):
+    """The keys of a table over those of the camera that it is based on, section by section."""
+    merged = {section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()}
+    for section, keys in table.items():
+        if isinstance(keys, dict) and isinstance(merged.get(section), dict):
+            for one, other in (INSTEAD, INSTEAD[::-1]):
+                if section == "optics" and one in keys:
+                    merged[section].pop(other, None)
+            merged[section] |= keys
+        else:
+            merged[section] = keys
+    return merged
+
+
+def _file_table(name_or_path):
+    """A camera's file, and its keys as they are written there."""
     if name_or_path in camera_names():
         path = _FOLDER / f"{name_or_path}.toml"
     else:

@@ -43,6 +43,19 @@ class Camera:
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                              "colour needs at least 3")
 
+    def with_(self, **changes) -> "Camera":
+        """The same camera with other values: `camera.with_(f_number=2.0, read_e=3)`.
+
+        Names are the keys of camera files, in their units; a key of two sections is written with one of them:
+        `with_(**{"processor.white": [2, 1, 1.5]})`. Values are as in a camera file. What a file names or tabulates is
+        given as what it becomes, in the field's own unit: a Spectrum, Pupil, PointSpread, FilterTable, Microlens. Whole
+        parts go, too: optics, sensor, processor, display; other changes are made after these.
+        Raises UnknownName, BadData, OutOfRange.
+        """
+        from gpusim.domain.changes import changed
+
+        return changed(self, changes)
+
     @property
     def is_developed_at_once(self) -> bool:
         """Whether one pass leads from raw values to display codes: bilinear, of a Bayer mosaic, and nothing more."""

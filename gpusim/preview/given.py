@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-from gpusim.data.camera_keys import SECTIONS, section_fields
 from gpusim.domain.camera import Camera
+from gpusim.domain.camera_keys import SECTIONS, section_fields
 from gpusim.domain.errors import BadData
 from gpusim.preview.controls import CONTROLS
 from gpusim.preview.state import State

@@ -7,7 +7,7 @@ from shlex import join
 from time import monotonic
 from typing import Any
 
-from gpusim.data.cameras import camera_of, camera_table
+from gpusim.data.cameras import anchored, camera_of, camera_table
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
@@ -54,13 +54,7 @@ class State:
 
     def table(self) -> dict:
         """The camera file's table with the changes, its files named from anywhere. Raises BadFile, UnknownName."""
-        path, table = camera_table(self.camera)
-        table.setdefault("name", path.stem)
-        for section in table.values():
-            for key, value in section.items() if isinstance(section, dict) else ():
-                if isinstance(value, str) and Path(value).suffix and (path.parent / value).is_file():
-                    section[key] = str((path.parent / value).resolve())
-        return self.changed(table)
+        return self.changed(anchored(*camera_table(self.camera)))
 
     def changed(self, table: dict) -> dict:
         """A camera file's table, into which the changes are put."""

@@ -15,10 +15,10 @@ from gpusim.data.colorimetry import cmf, xyz
 from gpusim.data.curves import curve
 from gpusim.data.learned import read_table, write_table
 from gpusim.data.lights import illuminant, white_radiance
-from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.mosaics import mosaic
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor

@@ -13,11 +13,11 @@ from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.data.charts import chart
-from gpusim.data.mosaics import mosaic
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.mosaics import mosaic
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor

@@ -10,9 +10,9 @@ import pytest
 from devices import KINDS
 
 import gpusim as gs
-from gpusim.data.mosaics import MOSAICS
 from gpusim.domain.content import Basis, Cube
 from gpusim.domain.distortion import RadialPolynomial
+from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum

@@ -11,7 +11,7 @@ import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.native import native_kernel
 from gpusim.backends.warp import started_warp
-from gpusim.data.mosaics import MOSAICS
+from gpusim.domain.mosaics import MOSAICS
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.kernels.stage import public_function

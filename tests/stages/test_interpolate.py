@@ -6,8 +6,8 @@ from devices import ALL, ALL_KINDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpusim.data.mosaics import MOSAICS, mosaic, mosaic_names
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.mosaics import MOSAICS, mosaic, mosaic_names
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.interpolate import interpolate, least_frame
 

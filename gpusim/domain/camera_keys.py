@@ -5,10 +5,10 @@ import difflib
 
 import numpy as np
 
-from gpusim.data.mosaics import mosaic
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
-from gpusim.domain.errors import BadFile, UnknownName, near, shown
+from gpusim.domain.errors import BadData, BadFile, UnknownName, near, shown
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.mosaics import mosaic
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.sensor import Microlens
 
@@ -264,17 +264,25 @@ def section_fields(path, table, section, cls=None):
             raise BadFile(path, f"unknown key {shown(key)} in [{section}]{_near_key(key, section)}")
         field, read = known[key]
         try:
-            fields[field] = read(value)
-        except _Wanted as wanted:
-            raise BadFile(path, f"[{section}] {key} = {shown(value)}: wanted {wanted}") from None
-        except UnknownName as error:
-            raise BadFile(path, f"[{section}] {key}: {error}") from None
+            fields[field] = value_of(f"[{section}] {key}", read, value)
+        except (BadData, UnknownName) as error:
+            raise BadFile(path, str(error)) from None
     required = {field.name for field in dataclasses.fields(cls)
                 if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
     missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
     return fields
+
+
+def value_of(label, read, value):
+    """A value as a reader of SECTIONS gives it. label: of the key, which errors name. Raises BadData, UnknownName."""
+    try:
+        return read(value)
+    except _Wanted as wanted:
+        raise BadData(f"{label} = {shown(value)}: wanted {wanted}") from None
+    except UnknownName as error:
+        raise BadData(f"{label}: {error}") from None
 
 
 def _near_key(key, section):

@@ -1,0 +1,272 @@
+"""What a user's program and editor get: settings by name, cameras on others, scenes of arrays, names that they see."""
+
+import ast
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gpusim as gs
+from gpusim.domain.camera_keys import SECTIONS
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
+from gpusim.domain.pupil import Pupil
+
+ROOT = Path(gs.__file__).resolve().parents[1]
+PHONE = gs.open_camera("phone")
+
+
+# ------------------------------------------------------------------------------------------------ settings by name
+
+
+def test_settings_are_those_of_a_camera_file(tmp_path):
+    """The same keys and values in a file, by another way: TOML and its reader."""
+    (tmp_path / "a.toml").write_text(
+        'base = "phone"\n[optics]\nf_number = 2.0\nobject_distance_m = 1.5\nseidel_waves = [0.1, 0, 0, 0, 0]\n'
+        'defocus_diopters = 0.25\n[sensor]\nexposure_time_ms = 10\nbits = 12\ncfa = ["GR", "BG"]\nfull_well_e = 9000\n'
+        '[noise]\nread_e = 3\nseed = 7\n[processor]\nwhite = [2.0, 1.0, 1.5]\nwhite_balance = "preset"\n'
+        '[display]\nluminance_cd_per_m2 = 80\n')
+    found = PHONE.with_(f_number=2.0, object_distance_m=1.5, seidel_waves=(0.1, 0, 0, 0, 0), defocus_diopters=0.25,
+                        exposure_time_ms=10, bits=np.int64(12), cfa=["GR", "BG"], full_well_e=9000,
+                        read_e=np.float32(3), **{"noise.seed": 7, "processor.white": np.array([2.0, 1.0, 1.5])}, white_balance="preset",
+                        luminance_cd_per_m2=80)
+    wanted = gs.open_camera(tmp_path / "a.toml")
+    assert found.optics == wanted.optics and found.processor == wanted.processor
+    for one, other in ((found.sensor, wanted.sensor), (found.display, wanted.display)):
+        for field in dataclasses.fields(one):
+            if field.name not in ("qe", "name"):
+                assert getattr(one, field.name) == getattr(other, field.name), field.name
+    assert PHONE.optics.f_number == 1.8  # a new camera
+
+
+def test_objects_stand_for_what_files_name():
+    curve = gs.Spectrum([400, 700], np.ones((3, 2)))
+    other, through = gs.Display("projector", luminance=200.0), gs.Spectrum([400, 700], [0.9, 0.8])
+    found = PHONE.with_(qe=curve, pupil=Pupil(blades=6), display=other, transmission=through)
+    assert found.sensor.qe is curve and found.optics.pupil.blades == 6 and found.display is other
+    assert PHONE.with_(optics=gs.Optics(4.0, 0.01), f_number=5.6).optics == gs.Optics(5.6, 0.01)
+    assert found.with_(distortion=None).optics.distortion is None
+
+
+@pytest.mark.parametrize("changes, error, words", [
+    ({"f_numbr": 2}, UnknownName, "unknown key of a camera 'f_numbr'; did you mean 'f_number'"),
+    ({"noise.f_number": 2}, UnknownName, "did you mean 'optics.f_number'"),
+    ({"white": [1, 1, 1]}, BadData, "white: a key of processor and display; wanted .*processor.white"),
+    ({"f_number": "fast"}, BadData, "f_number = 'fast': wanted a number"),
+    ({"f_number": -1}, OutOfRange, "optics.f_number = -1"),
+    ({"f_number": None}, BadData, "f_number = None: wanted a number"),
+    ({"qe": "imx"}, BadData, "qe = 'imx': wanted a Spectrum"),
+    ({"psf": "lens.npz"}, BadData, "psf = 'lens.npz': wanted a PointSpread"),
+    ({"ir_cut": "x"}, BadData, "ir_cut: a camera has it in its qe"),
+    ({"defocus_um": "x"}, BadData, "defocus_um = 'x': wanted a number or a Spectrum"),
+    ({"defocus_um": 1.0, "defocus_diopters": 1.0}, BadData, "wanted one of them"),
+    ({"cfa": "nope"}, BadData, "cfa: unknown mosaic 'nope'"),
+    ({"optics": 3}, BadData, "optics: int, wanted Optics"),
+    ({"reset_e": "kTC"}, BadData, "needs conversion_gain_uv_per_e"),
+])
+def test_bad_settings_are_refused_in_one_line(changes, error, words):
+    with pytest.raises(error, match=words) as refused:
+        PHONE.with_(**changes)
+    assert "\n" not in str(refused.value)
+
+
+def test_keys_of_two_sections_are_known():
+    """The docstring names the one way out: which they are may change with the keys, that there are few must not."""
+    count: dict[str, int] = {}
+    for keys in SECTIONS.values():
+        for key in keys:
+            count[key] = count.get(key, 0) + 1
+    assert [key for key, times in count.items() if times > 1] == ["white"]
+
+
+# ---------------------------------------------------------------------------------------------- cameras on cameras
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_a_camera_on_another(tmp_path):
+    (tmp_path / "lenses").mkdir()
+    (tmp_path / "lenses" / "qe.csv").write_text("wavelength_nm,R,G,B\n400,.1,.2,.3\n700,.3,.2,.1\n")
+    write(tmp_path / "lenses" / "base.toml", 'base = "phone"\nname = "its"\n[sensor]\nqe = "qe.csv"\n'
+                                            '[optics]\ndefocus_um = 3\n')
+    found = gs.open_camera(write(tmp_path / "own.toml", 'base = "lenses/base.toml"\n[noise]\nread_e = 1\n'
+                                                       '[optics]\ndefocus_diopters = 0\n'))
+    assert found.name == "own" and found.sensor.noise.read == 1 and found.sensor.noise.prnu == PHONE.sensor.noise.prnu
+    assert found.optics.defocus == 0  # its base's, in another unit, is gone
+    # the file beside the base; factors of the phone's own quantum efficiency stay, so it is the lower one everywhere
+    assert found.sensor.qe.values.max() <= 0.3
+    assert gs.open_camera(write(tmp_path / "named.toml", 'base = "mono"\nname = "mine"\n')).name == "mine"
+
+
+def test_an_empty_file_is_the_phone(tmp_path):
+    found = gs.open_camera(write(tmp_path / "mine.toml", "# nothing yet\n"))
+    assert found.name == "mine" and found.optics == PHONE.optics and found.sensor.noise == PHONE.sensor.noise
+    with pytest.raises(BadFile, match=r"\[optics\] lacks focal_length_mm"):  # a file that is begun is all of a camera
+        gs.open_camera(write(tmp_path / "begun.toml", "[optics]\nf_number = 2\n"))
+
+
+@pytest.mark.parametrize("text, words", [
+    ("base = 3", "base = 3: wanted a camera's name or file"),
+    ('base = "nope"', "base = 'nope': no such camera or file; cameras are figure8, "),
+    ('base = "a.toml"', "base = 'a.toml': is based on this file itself"),
+    ('base = "b.toml"', "base = 'a.toml': is based on this file itself"),
+    ('base = "phone"\noptics = 3', "optics = 3: wanted a section"),
+    ('base = "phone"\n[optics]\nf_numbr = 3', "unknown key 'f_numbr' in .optics."),
+])
+def test_bad_bases_are_refused_with_the_file_and_the_key(tmp_path, text, words):
+    write(tmp_path / "b.toml", 'base = "a.toml"\n')
+    with pytest.raises(BadFile, match=words) as refused:
+        gs.open_camera(write(tmp_path / "a.toml", text))
+    assert str(tmp_path) in str(refused.value) and "\n" not in str(refused.value)
+
+
+# ------------------------------------------------------------------------------------------------ scenes of arrays
+
+NODES = np.linspace(400, 700, 5)
+VALUES = np.random.default_rng(5).random((5, 6, 7))
+
+
+def test_cubes_by_bands_and_by_pixels_are_the_same():
+    first = gs.scene_from(VALUES, NODES, light="A", luminance=50.0, border="reflect")
+    last = gs.scene_from(np.moveaxis(VALUES, 0, -1), NODES, light="A", luminance=50.0)
+    np.testing.assert_array_equal(first.content.values, VALUES.astype(np.float32))
+    np.testing.assert_array_equal(last.content.values, first.content.values)
+    flat = gs.chart("flat", light="A", luminance=50.0)
+    np.testing.assert_array_equal(first.illuminant.values, flat.illuminant.values)
+    assert first.border == "reflect" and first.light_is_known
+    square = np.random.default_rng(5).random((5, 6, 5))
+    assert gs.scene_from(square, NODES, axis=-1).content.shape == (5, 6)
+    assert gs.scene_from(square.tolist(), NODES, axis=0).content.shape == (6, 5)
+
+
+def test_energy_is_turned_into_photons():
+    """E = h c / lambda: 1 W at 555 nm is 2.7939e18 photons a second (2019 SI constants, five digits)."""
+    scene = gs.scene_from(np.ones((2, 1, 1)), [555.0, 1110.0], unit="energy")
+    np.testing.assert_allclose(scene.content.values[:, 0, 0], [2.7939e18, 5.5878e18], rtol=2e-5)
+    assert not scene.light_is_known
+    assert gs.scene_from(np.ones((2, 1, 1)), [555.0, 1110.0]).content.values.max() == 1
+
+
+def test_pictures_are_those_of_files(tmp_path):
+    """Codes, encoded numbers and linear ones of one picture are the scene that its PNG is: 0.5 / 255 of rounding."""
+    from PIL import Image
+
+    codes = np.random.default_rng(6).integers(0, 256, (8, 9, 3), np.uint8)
+    Image.fromarray(codes).save(tmp_path / "a.png")
+    wanted = gs.open_scene(tmp_path / "a.png")
+    encoded = codes / 255
+    light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    for found in (gs.scene_from(codes), gs.scene_from(encoded), gs.scene_from(light, linear=True),
+                  gs.scene_from(codes.astype(np.uint16) * 257)):
+        np.testing.assert_allclose(found.content.on_host().coefficients, wanted.content.coefficients, atol=1e-6)
+        np.testing.assert_array_equal(found.illuminant.values, wanted.illuminant.values)
+    grey = gs.scene_from(encoded[..., 0])
+    assert np.ptp(grey.content.coefficients, axis=0).max() == 0
+    half = gs.scene_from(np.full((4, 4, 3), 128, np.uint8), linear=True).content.on_host().coefficients
+    np.testing.assert_allclose(half, 128 / 255, rtol=1e-6)
+
+
+@pytest.mark.parametrize("given, options, words", [
+    ((VALUES, NODES[:-1]), {}, r"array of shape \(5, 6, 7\) for 4 wavelengths, wanted"),
+    ((np.ones((5, 6, 5)), NODES), {}, "both ends have 5 samples; say axis = 0 or axis = -1"),
+    ((VALUES, NODES), {"axis": 1}, "axis = 1 of shape"),
+    ((VALUES, NODES), {"linear": True}, "linear = True of a cube"),
+    ((VALUES, NODES), {"unit": "lumen"}, "unknown unit 'lumen'"),
+    ((-VALUES, NODES), {}, "negative samples"),
+    ((VALUES,), {}, r"wanted \(rows, cols, 3\)"),
+    ((np.full((4, 4, 3), 2.0),), {}, "encoded picture up to 2, wanted 0 .. 1; or linear = True"),
+    ((np.full((4, 4, 3), np.nan),), {}, "picture from nan"),
+    ((np.ones((4, 4, 3), int),), {}, "a picture of int64, wanted uint8"),
+    ((np.ones((4, 4, 3), "U1"),), {}, "wanted real numbers"),
+])
+def test_bad_arrays_are_refused_in_one_line(given, options, words):
+    with pytest.raises((BadData, UnknownName), match=words) as refused:
+        gs.scene_from(*given, **options)
+    assert "\n" not in str(refused.value)
+
+
+# --------------------------------------------------------------------------------------------- names that editors see
+
+
+def test_type_checkers_see_every_public_name():
+    tree = ast.parse(Path(gs.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    seen = {alias.name: node.module for node in block.body for alias in node.names}
+    assert all(alias.asname == alias.name for node in block.body for alias in node.names)  # exported, to a strict one
+    assert seen == gs._PUBLIC and sorted(seen) == gs.__all__
+    assert (Path(gs.__file__).parent / "py.typed").exists()
+
+
+SCRIPT = '''
+from pathlib import Path
+
+import numpy as np
+
+import gpusim as gs
+
+
+def camera_of(folder: Path) -> gs.Camera:
+    camera = gs.open_camera("phone").with_(f_number=2.0, read_e=3)
+    print(camera.name, camera.optics.f_number, camera.sensor.noise.read, camera.sensor.channels)
+    return camera if folder.exists() else gs.open_camera(folder / "camera.toml")
+
+
+def scenes(count: int) -> list[gs.Scene]:
+    random = np.random.default_rng(1)
+    cube = gs.scene_from(random.random((31, 48, 64)), np.linspace(400, 700, 31), light="D65")
+    picture = gs.scene_from(random.integers(0, 256, (48, 64, 3), np.uint8))
+    lit = gs.illuminated(gs.chart("flat", size=(64, 48)), {"A": 30.0, "D65": 70.0})
+    return [cube, picture, lit, *(gs.open_scene("colorchecker", size=(64, 48)) for _ in range(count))]
+
+
+def brightest(frame: gs.Frame) -> float:
+    report = frame.report
+    print(report, report.meets_tolerance)
+    return float(frame.raw.max())
+
+
+def run(folder: Path) -> None:
+    simulate = gs.Simulator(camera_of(folder), device="numpy", tolerance="preview")
+    values: list[float] = []
+    for seed, scene in enumerate(scenes(1)):
+        frame = simulate(scene, seed=seed)
+        values.append(brightest(frame))
+        frame.save(folder / f"frame{seed}.png")
+    print(np.mean(values), frame.rgb.shape, frame.mean.dtype)
+    try:
+        gs.open_scene("colorchekcer")
+    except gs.GpusimError as error:
+        print(error)
+
+
+if __name__ == "__main__":
+    run(Path("."))
+'''
+
+
+def test_a_users_script_passes_a_strict_type_checker(tmp_path):
+    """And `reveal_type` says that the names are no Any; what is inside the package is not judged here."""
+    pytest.importorskip("mypy", reason="mypy is not installed")
+    script = write(tmp_path / "user.py", SCRIPT)
+    shown = "import gpusim as gs\nreveal_type(gs.Simulator)\nreveal_type(gs.open_camera)\n"
+    revealed = write(tmp_path / "shown.py", f"{shown}gs.open_camera('phone').with_(f_number=2).nothing\n")
+    checked = [subprocess.run([sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir",
+                               str(tmp_path / "cache"), str(path)], capture_output=True, text=True, cwd=tmp_path,
+                              env={"MYPYPATH": str(ROOT), "PATH": ""}, check=False) for path in (script, revealed)]
+    assert "Success" in checked[0].stdout, checked[0].stdout
+    assert 'def (camera: ' in checked[1].stdout and "-> gpusim.domain.camera.Camera" in checked[1].stdout
+    assert '"Camera" has no attribute "nothing"' in checked[1].stdout
+
+
+def test_editors_complete_every_public_name():
+    jedi = pytest.importorskip("jedi", reason="jedi is not installed")
+    project = jedi.Project(ROOT)
+    names = {found.name for found in jedi.Script("import gpusim as gs\ngs.", project=project).complete(2, 3)}
+    assert set(gs.__all__) <= names
+    code = "import gpusim as gs\ncamera = gs.open_camera('phone')\ncamera."
+    assert {"optics", "sensor", "with_"} <= {found.name for found in jedi.Script(code, project=project).complete(3, 7)}
