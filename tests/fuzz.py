@@ -31,7 +31,7 @@ from gpusim.io.scenes import open_scene
 from gpusim.l3.layout import layout
 
 SEEDS = (1, 2, 3)  # of the kept runs
-READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg")
+READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes")
 WAVES = np.array([400.0, 500.0, 650.0])
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
@@ -75,10 +75,13 @@ def good_pictures(reader, folder):
         path = folder / "good.exr"
         for write in (lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
                       lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True),
-                      lambda: write_rgb_exr(path, random.random((3, 7, 9)))):
+                      lambda: write_rgb_exr(path, random.random((3, 7, 9))),
+                      lambda: write_foreign_exr(path, random)):
             write()
             found.append(path.read_bytes())
         return found
+    if reader in ("tiff", "planes"):
+        return good_tiffs(reader, random)
 
     def saved(image, **options):
         buffer = io.BytesIO()
@@ -103,6 +106,38 @@ def good_pictures(reader, folder):
     return found
 
 
+def write_foreign_exr(path, random):
+    """A picture of BT.2020 with a depth, a normal and an alpha."""
+    import OpenEXR
+
+    names = ("R", "G", "B", "A", "depth.T", "normal.X")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage,
+              "chromaticities": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)}
+    OpenEXR.File(header, {name: random.random((7, 9), np.float32) for name in names}).write(str(path))
+
+
+def good_tiffs(reader, random):
+    """Bytes of TIFF files of photographs, or of stacks of three planes."""
+    import tifffile
+
+    def saved(array, **options):
+        buffer = io.BytesIO()
+        tifffile.imwrite(buffer, array, metadata=None, **options)
+        return buffer.getvalue()
+
+    rgb = random.integers(0, 65536, (40, 30, 3), np.uint16)
+    if reader == "planes":
+        planes = rgb.transpose(2, 0, 1)
+        return [saved(planes, photometric="minisblack"), saved(planes, photometric="minisblack", compression="zlib"),
+                saved(rgb, photometric="minisblack", planarconfig="contig"),
+                saved(planes / 65536, photometric="minisblack", planarconfig="separate")]
+    return [saved(rgb, photometric="rgb", rowsperstrip=9, compression=packed, predictor=packed is not None)
+            for packed in (None, "zlib", "lzw", "packbits")] + [
+        saved(rgb[..., 0].astype(np.uint8), photometric="miniswhite", tile=(16, 16)),
+        saved(rgb.astype(np.float32), photometric="rgb", compression="zlib", predictor=3),
+        saved(np.dstack([rgb, rgb[..., :1]]), photometric="rgb", extrasamples=["unassalpha"])]
+
+
 def good_texts(reader):
     """Camera files, or a table of curves; and lines to put into camera files."""
     if reader == "curves":
@@ -120,7 +155,7 @@ class Inputs:
         self.reader, self.lines, self.arrays = reader, [], []
         if reader in ("camera", "curves"):
             self.good, self.lines = good_texts(reader)
-        elif reader in ("exr", "png", "jpg"):
+        elif reader in ("exr", "png", "jpg", "tiff", "planes"):
             self.good = good_pictures(reader, folder)
         else:
             self.arrays, self.good = good_archives(reader), []
@@ -132,13 +167,14 @@ class Inputs:
     def make(self, seed, number) -> bytes:
         random = np.random.default_rng((seed, READERS.index(self.reader), number))
         data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
-        if self.reader == "exr" or random.random() < 0.3:
+        if random.random() < 0.3:
             return mutations.damaged(data, other, random)
         if self.arrays:
             return mutations.archive(mutations.pick(random, self.arrays), random)
         if self.reader == "camera":
             return mutations.toml(data, self.lines, random)
-        return {"curves": mutations.table, "png": mutations.png, "jpg": mutations.jpeg}[self.reader](data, random)
+        return {"curves": mutations.table, "png": mutations.png, "jpg": mutations.jpeg, "exr": mutations.exr,
+                "tiff": mutations.tiff, "planes": mutations.tiff}[self.reader](data, random)
 
 
 CAMERA = """
@@ -158,8 +194,10 @@ def reading(reader, folder):
     if reader == "curves":
         (folder / "own.toml").write_text(CAMERA)
         return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
-    suffix = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg"}.get(reader, ".npz")
-    read = {"camera": open_camera, "psf": read_psf, "table": read_table}.get(reader, open_scene)
+    suffix = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif"}
+    suffix = suffix.get(reader, ".npz")
+    read = {"camera": open_camera, "psf": read_psf, "table": read_table,
+            "planes": lambda path: open_scene(path, wavelengths=WAVES)}.get(reader, open_scene)
     return folder / f"input{suffix}", read
 
 
