@@ -66,7 +66,8 @@ def read_stack(path, count: int) -> np.ndarray:
         values, start = np.empty((count, rows, cols), np.float32), 0
         for page in pages:
             planes = _pixels(path, page)
-            values[start:start + len(planes)] = planes
+            with np.errstate(over="ignore"):  # what is infinite then is refused
+                values[start:start + len(planes)] = planes
             start += len(planes)
     if first.dtype.kind == "u":
         values /= np.float32(np.iinfo(first.dtype).max)

@@ -74,10 +74,10 @@ def test_a_depth_channel_is_the_scenes_depth(tmp_path, name, layer):
 
 def test_what_is_nowhere_is_far_and_z_comes_first(tmp_path):
     path, stored = tmp_path / "a.exr", plane(3)
-    stored[0, :4] = 0, np.inf, 1e10, 1e7
+    stored[0, :3] = 0, np.inf, 1e10
     write_channels(path, RGB | {"Z": stored, "depth.T": plane(7)})
     scene = open_scene(path)
-    np.testing.assert_array_equal(scene.depth[0], [1e6, 1e6, 1e6, 1e6, 3])
+    np.testing.assert_array_equal(scene.depth[0], [1e6, 1e6, 1e10, 3, 3])
     assert scene.notes[0] == "depth is channel 'Z'; not read: depth.T"
 
 
