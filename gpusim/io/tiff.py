@@ -142,10 +142,10 @@ def _page(path, page, size):
         _require_codecs(path, page)
     shape = {"YX": lambda: (1, *page.shape), "SYX": lambda: page.shape,
              "YXS": lambda: (page.shape[2], *page.shape[:2])}.get(page.axes, lambda: (0,))()
-    if math.prod(shape) < 1:
+    if not all(isinstance(length, int) and length > 0 for length in shape):  # a damaged tag may hold several numbers
         raise BadFile(path, f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels")
-    ends = [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=True)]
-    if len(ends) < 1 or min(page.databytecounts) < 1 or max(ends) > size:
+    ends = [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=False)]
+    if len(ends) < max(1, len(page.databytecounts)) or min(page.databytecounts) < 1 or max(ends) > size:
         raise BadFile(path, f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}, or parts that "
                             "are missing")
     nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
