@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.data.calibration import read_calibration
 from gpusim.data.camera_keys import MICRO, SECTIONS, section_fields
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
@@ -17,6 +18,7 @@ from gpusim.data.learned import read_table
 from gpusim.data.lights import illuminant
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.calibration import Calibration
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
 from gpusim.domain.errors import LONGEST_VALUE, BadFile, UnknownName, near, one_line, shown
@@ -95,7 +97,7 @@ def _camera(path, table):
     optics, sensor = section_fields(path, table, "optics", Optics), section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
-    optics = _lens(path, optics)
+    optics = _lens(path, _calibrated(path, optics, sensor))
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     sensor["noise"] = _noise(path, section_fields(path, table, "noise"), sensor)
     return Camera(name, optics, Sensor(**sensor), _processor(path, section_fields(path, table, "processor")),
@@ -131,6 +133,21 @@ def _noise(path, fields, sensor):
             raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
         fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
     return Noise(**fields)
+
+
+def _calibrated(path, fields, sensor):
+    """Fields of the lens with its calibration as its distortion, and as its focal length where none is given."""
+    calibration = fields.pop("calibration", None)
+    if calibration is None:
+        return fields
+    if "distortion" in fields:
+        raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
+    if not isinstance(calibration, Calibration):
+        calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
+    if "focal_length" not in fields:  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
+        image_distance = calibration.fx * sensor["pixel_pitch"]
+        fields["focal_length"] = image_distance / (1 + image_distance / fields.get("object_distance", np.inf))
+    return {**fields, "distortion": calibration}
 
 
 def _lens(path, fields):
