@@ -233,6 +233,7 @@ _SENSOR = {
     "row_time_us": ("row_time", _number(MICRO)),
     "binning": ("binning", _wholes),
     "binning_mode": ("binning_mode", _text),
+    "noise_profile": ("profile", _text),
     "full_well_e": ("full_well", _number()),
     "bits": ("bits", _whole),
     "black_level_dn": ("black_level", _whole),
@@ -272,7 +273,8 @@ _DISPLAY = {
     "curve": ("curve", _number_or_srgb),
     "luminance_cd_per_m2": ("luminance", _number()),
 }
-INSTEAD = {"focal_length": "calibration"}  # a field that another one may stand for
+# fields that another one may stand for
+INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
 SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
 
 

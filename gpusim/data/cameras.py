@@ -16,6 +16,7 @@ from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
 from gpusim.data.learned import read_table
 from gpusim.data.lights import illuminant
+from gpusim.data.noise_profile import read_noise_profile
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.calibration import Calibration
@@ -99,7 +100,10 @@ def _camera(path, table):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
     optics = _lens(path, _calibrated(path, optics, sensor))
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
-    sensor["noise"] = _noise(path, section_fields(path, table, "noise"), sensor)
+    noise = section_fields(path, table, "noise")
+    if "profile" in sensor:
+        _profile(path, sensor, noise)
+    sensor["noise"] = _noise(path, noise, sensor)
     return Camera(name, optics, Sensor(**sensor), _processor(path, section_fields(path, table, "processor")),
                   _display(path, section_fields(path, table, "display")))
 
@@ -123,6 +127,17 @@ def _display(path, fields):
         raise BadFile(path, f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
                             "give it another name")
     return Display(name or path.stem, **fields)
+
+
+def _profile(path, sensor, noise):
+    """Put what a DNG's noise profile tells into the fields of sensor and noise."""
+    profile = read_noise_profile(path.parent / sensor.pop("profile"))
+    own = [*(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}) & sensor.keys(),
+           *{"read", "reset", "adc", "row", "column"} & noise.keys()]
+    if own:
+        raise BadFile(path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other")
+    sensor.update(profile.fields)
+    noise["read"] = profile.read
 
 
 def _noise(path, fields, sensor):
