@@ -129,7 +129,7 @@ def _require_whole_frame(table):
 
 def _made(size, intrinsics, coefficients, model):
     """A calibration of numbers and of the name that the file has for its model."""
-    if model not in MODELS:
+    if type(model) is not str or model not in MODELS:
         raise BadData(f"distortion_model: {shown(model)}: wanted one of {', '.join(MODELS)}")
     if model == "none" and any(coefficients):
         raise BadData("distortion_model: none, with coefficients: wanted one or the other")

@@ -100,8 +100,8 @@ def _tags(path):
     with open_file(path) as file, _silent("tifffile"), reading(path, WHAT), tifffile.TiffFile(file) as tiff:
         first = tiff.pages[0]
         pages = [first, *(first.pages or ())]
-        found = [{code: _values(page, code) for code in (SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL,
-                                                         NOISE_PROFILE) if code in page.tags} for page in pages]
+        found = [{code: values for code in (SUBFILE, PHOTOMETRIC, BITS, BLACK_LEVEL, WHITE_LEVEL, NOISE_PROFILE)
+                  if code in page.tags and len(values := _values(page, code))} for page in pages]
     raw = next((tags for tags in found if tags.get(PHOTOMETRIC, [0])[0] in (CFA, LINEAR_RAW)
                 and not tags.get(SUBFILE, [0])[0] & 1), None)
     return {NOISE_PROFILE: found[0][NOISE_PROFILE], **(raw or {})} if NOISE_PROFILE in found[0] else raw or {}

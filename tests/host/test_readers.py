@@ -12,7 +12,7 @@ import zlib
 import fuzz
 import numpy as np
 import pytest
-from mutations import png_of
+from picture_mutations import png_of
 from refusals import SMALL, WAVES, archive, refused, takes
 
 from gpusim.data.cameras import open_camera
@@ -37,7 +37,7 @@ def test_damaged_files_are_refused(reader):
 @pytest.mark.parametrize("seed", fuzz.SEEDS)
 @pytest.mark.parametrize("reader", fuzz.READERS)
 def test_many_damaged_files_are_refused(reader, seed):
-    """120,000 files, in a process with little memory; LONGEST seconds and LARGEST bytes at most for any of them."""
+    """180,000 files, in a process with little memory; LONGEST seconds and LARGEST bytes at most for any of them."""
     row = fuzz.in_a_process(reader, seed, 5000)
     assert row["mutated"] == 5000 and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
 
