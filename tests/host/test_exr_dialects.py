@@ -1,5 +1,7 @@
 """OpenEXR files of other programs: Indigo, Mitsuba 3, Blender's names, colour-science; depth, primaries."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -111,6 +113,16 @@ def test_depth_refusals(tmp_path):
         open_scene(path, depth="ray", fov=1.0)
 
 
+def test_the_command_line_takes_depth_along_rays(tmp_path, capsys):
+    from gpusim.cli import main
+
+    path = tmp_path / "a.exr"
+    write_channels(path, {key: plane(0.5, shape=(8, 8)) for key in "RGB"} | {"depth.T": plane(4, shape=(8, 8))})
+    asked = ["simulate", str(path), "--camera", "mono", "--device", "numpy", "--depth", "ray"]
+    assert main(asked) == 2 and "field of view" in capsys.readouterr().err
+    assert main([*asked, "--fov", "40"]) == 0 and "along each pixel's ray" in capsys.readouterr().out
+
+
 # ---- primaries
 
 
@@ -163,6 +175,24 @@ def test_colors_outside_srgb_keep_their_luminance_and_the_report_says_so(tmp_pat
     np.testing.assert_allclose(got[:, 2:], 0.5, atol=1e-6)
     report = Simulator(open_camera("mono"), device="numpy")(scene).report
     assert any("colours outside sRGB" in note and "3.1 %" in note for note in report.notes)  # 2 of 64
+
+
+def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch):
+    """NumPy's own, while colours of other primaries are drawn into sRGB; a depth beside them."""
+    path, asked = tmp_path / "a.exr", []
+    rgb = RANDOM.random((3, 400, 500), np.float32)
+    write_channels(path, dict(zip("RGB", rgb, strict=True)) | {"Z": rgb[0] + 1},
+                   chromaticities=(0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290))
+    read_exr(path)  # modules and tables of the program are loaded
+    monkeypatch.setattr("gpusim.io.exr.require_memory", lambda what, needed: asked.append(needed))
+    tracemalloc.start()
+    try:
+        held = read_exr(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert held.notes and held.depth is not None
+    assert peak <= sum(asked) + 2**18, f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"  # names, headers
 
 
 @pytest.mark.parametrize("chromaticities", [np.zeros(8), np.full(8, np.nan), np.full(8, 1e30), np.full(8, 0.3)])

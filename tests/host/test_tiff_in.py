@@ -126,6 +126,15 @@ def test_wavelengths_that_are_none(text):
         _wavelengths(text)
 
 
+def test_the_command_line_takes_wavelengths(tmp_path, capsys):
+    from gpusim.cli import main
+
+    tifffile.imwrite(tmp_path / "a.tif", np.full((4, 8, 8), 0.5, np.float32), photometric="minisblack")
+    asked = ["simulate", str(tmp_path / "a.tif"), "--camera", "mono", "--device", "numpy"]
+    assert main([*asked, "--wavelengths", "400:700:100"]) == 0
+    assert main(asked) == 2 and "--wavelengths" in capsys.readouterr().err
+
+
 # ---- refusals
 
 
