@@ -151,6 +151,16 @@ def test_other_primaries_become_srgb_as_in_colour_science(tmp_path, name):
     np.testing.assert_allclose(read_exr(tmp_path / "a.exr").values, 1, atol=2e-6)  # float32, likewise
 
 
+@pytest.mark.parametrize("names", ["XYZ", "RGB"])  # Mitsuba's; and RGB whose primaries are those of XYZ
+def test_xyz_is_taken_as_it_is(tmp_path, names):
+    """White is D65's own XYZ, X 95.04, Y 100, Z 108.88 (CIE 15), and Z is no depth."""
+    channels = {name: plane(value) for name, value in zip(names, (0.9504, 1.0, 1.0888), strict=True)}
+    write_channels(tmp_path / "a.exr", channels, chromaticities=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3))
+    held = read_exr(tmp_path / "a.exr")
+    np.testing.assert_allclose(held.values, 1, atol=5e-5 * 3.24)  # two decimals; the largest factor of the matrix
+    assert held.kind == "rgb" and held.depth is None
+
+
 def test_srgb_is_left_as_it_is(tmp_path):
     rgb = RANDOM.random((3, 4, 5), np.float32)
     rgb_file(tmp_path / "a.exr", rgb, [*DISPLAYS["srgb"].primaries, DISPLAYS["srgb"].white])
