@@ -153,11 +153,14 @@ def test_other_primaries_become_srgb_as_in_colour_science(tmp_path, name):
 
 @pytest.mark.parametrize("names", ["XYZ", "RGB"])  # Mitsuba's; and RGB whose primaries are those of XYZ
 def test_xyz_is_taken_as_it_is(tmp_path, names):
-    """White is D65's own XYZ, X 95.04, Y 100, Z 108.88 (CIE 15), and Z is no depth."""
-    channels = {name: plane(value) for name, value in zip(names, (0.9504, 1.0, 1.0888), strict=True)}
+    """A colour by the matrix of IEC 61966-2-1, from which ours differs by up to 3e-4; Z is no depth."""
+    wanted = np.array([0.2, 0.5, 0.7])
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ wanted
+    channels = {name: plane(value) for name, value in zip(names, xyz, strict=True)}
     write_channels(tmp_path / "a.exr", channels, chromaticities=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3))
     held = read_exr(tmp_path / "a.exr")
-    np.testing.assert_allclose(held.values, 1, atol=5e-5 * 3.24)  # two decimals; the largest factor of the matrix
+    # 3e-4 of each of the three, which add up to 1.4, by a row of the inverse, whose entries add up to 5.3
+    np.testing.assert_allclose(held.values[:, 1, 1], wanted, atol=3e-4 * 1.4 * 5.3)
     assert held.kind == "rgb" and held.depth is None
 
 

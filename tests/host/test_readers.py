@@ -282,6 +282,19 @@ def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, reade
     assert peak <= sum(asked) + 2**20, f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"
 
 
+def test_letters_that_are_none(tmp_path):
+    for kind in ("<u4", ">u4"):
+        buffer = io.BytesIO()
+        np.lib.format.write_array_header_1_0(buffer, {"descr": kind.replace("u4", "U2"), "fortran_order": False,
+                                                      "shape": ()})
+        data = np.array([65, 0x110000], kind).tobytes()
+        path = archive(tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES)
+        with zipfile.ZipFile(path, "a") as file:
+            file.writestr("name.npy", buffer.getvalue() + data)
+        with refused(path, "letters that are none", error=BadFile):
+            open_scene(path)
+
+
 def test_an_array_that_says_more_than_its_file_holds_is_refused(tmp_path):
     """Sizes of the directory, of the array's header, and of the header itself."""
     path = tmp_path / "a.npz"
