@@ -19,7 +19,8 @@ def scene_of(arguments, name: str | None = None):
     bands = dict(_named(text) for text in arguments.band)
     return open_scene(arguments.scene if name is None else name, size=arguments.size, light=arguments.light,
                       luminance=arguments.luminance, bands=bands, border=arguments.border,
-                      samples_per_pixel=arguments.samples_per_pixel, fov=arguments.fov, depth=arguments.depth)
+                      samples_per_pixel=arguments.samples_per_pixel, fov=arguments.fov, depth=arguments.depth,
+                      wavelengths=arguments.wavelengths, kind=arguments.kind)
 
 
 def operated(camera, arguments):
@@ -120,7 +121,7 @@ def add_asked(command, several: bool = False):
     more = "; several, or a folder of numbered ones: a frame of each" if several else ""
     command.add_argument("scene", metavar="SCENE", **({"nargs": "+"} if several else {}), help="a chart (colorchecker, "
                          "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, "
-                         f"photograph .png or .jpg{more}")
+                         f"planes .tif, photograph .png, .jpg or .tif{more}")
     command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
     command.add_argument("--device", default="auto", help=DEVICE_HELP)
     command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
@@ -136,6 +137,10 @@ def add_asked(command, several: bool = False):
     _add_operation(command)
     command.add_argument("--band", action="append", default=[], metavar="NAME=NM",
                           help="wavelength of an .exr channel that is not named by it; may be repeated")
+    command.add_argument("--wavelengths", type=_wavelengths, metavar="NM", help="of the planes of a .tif: "
+                         "FIRST:LAST:STEP, such as 400:700:10, or all of them, such as 450,550,650")
+    command.add_argument("--kind", choices=("reflectance", "radiance"), help="what these planes hold (default: "
+                         "reflectance, of whole numbers the largest is 1; radiance is in W m-2 sr-1 nm-1)")
     command.add_argument("--fov", type=_fov, metavar="DEGREES", help="horizontal field of view of the scene "
                          "(default: the file's, or what the camera sees)")
     command.add_argument("--depth", choices=("axis", "ray", "none"), default="axis", help="distances of an .exr's "
@@ -147,3 +152,18 @@ def _fov(text):
     """Degrees on a command line as radians."""
     degrees = _positive("degrees above 0 and below 180", 179.99)(text)
     return math.radians(degrees)
+
+
+def _wavelengths(text):
+    """Wavelengths [nm] of FIRST:LAST:STEP or of a list on a command line."""
+    try:
+        if ":" not in text:
+            return [float(part) for part in text.split(",")]
+        first, last, step = (float(part) for part in text.split(":"))
+        count = round((last - first) / step)
+        if not (0 < count < 10_000 and abs(first + count * step - last) < 1e-6 * step):
+            raise ValueError
+        return [first + number * step for number in range(count + 1)]
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted FIRST:LAST:STEP, such as 400:700:10, or a list such as "
+                                         "450,550,650") from None

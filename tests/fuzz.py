@@ -20,9 +20,12 @@ from pathlib import Path
 
 import mutations
 import numpy as np
+import picture_mutations
 
+from gpusim.data.calibration import read_calibration
 from gpusim.data.cameras import camera_names, open_camera
 from gpusim.data.learned import read_table, write_table
+from gpusim.data.noise_profile import read_noise_profile
 from gpusim.data.psf import read_psf
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.learned import FilterTable
@@ -31,8 +34,15 @@ from gpusim.io.scenes import open_scene
 from gpusim.l3.layout import layout
 
 SEEDS = (1, 2, 3)  # of the kept runs
-READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg")
+READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile")
 WAVES = np.array([400.0, 500.0, 650.0])
+SUFFIXES = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif",
+            "calibration": ".yaml", "profile": ".dng"}  # others read .npz
+READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibration": read_calibration,
+        "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES)}  # others open scenes
+MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
+          "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
+          "planes": picture_mutations.tiff, "profile": picture_mutations.tiff}  # others see Inputs.make
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
 LARGEST = 256 * 2**20  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
@@ -75,10 +85,13 @@ def good_pictures(reader, folder):
         path = folder / "good.exr"
         for write in (lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
                       lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True),
-                      lambda: write_rgb_exr(path, random.random((3, 7, 9)))):
+                      lambda: write_rgb_exr(path, random.random((3, 7, 9))),
+                      lambda: write_foreign_exr(path, random)):
             write()
             found.append(path.read_bytes())
         return found
+    if reader in ("tiff", "planes"):
+        return good_tiffs(reader, random)
 
     def saved(image, **options):
         buffer = io.BytesIO()
@@ -98,19 +111,79 @@ def good_pictures(reader, folder):
     saved(Image.fromarray(rgb), format="PNG", transparency=(1, 2, 3))
     for colour, channels in ((0, 1), (2, 3), (6, 4)):
         lines = b"".join(b"\1" + line.tobytes() for line in random.integers(0, 256, (7, 18 * channels), np.uint8))
-        found.append(mutations.png_of([(b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
+        found.append(picture_mutations.png_of([(b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
                                        (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]))
     return found
+
+
+def write_foreign_exr(path, random):
+    """A picture of BT.2020 with a depth, a normal and an alpha."""
+    import OpenEXR
+
+    names = ("R", "G", "B", "A", "depth.T", "normal.X")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage,
+              "chromaticities": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)}
+    OpenEXR.File(header, {name: random.random((7, 9), np.float32) for name in names}).write(str(path))
+
+
+def good_tiffs(reader, random):
+    """Bytes of TIFF files of photographs, or of stacks of three planes."""
+    import tifffile
+
+    def saved(array, **options):
+        buffer = io.BytesIO()
+        tifffile.imwrite(buffer, array, metadata=None, **options)
+        return buffer.getvalue()
+
+    rgb = random.integers(0, 65536, (40, 30, 3), np.uint16)
+    if reader == "planes":
+        planes = rgb.transpose(2, 0, 1)
+        return [saved(planes, photometric="minisblack"), saved(planes, photometric="minisblack", compression="zlib"),
+                saved(rgb, photometric="minisblack", planarconfig="contig"),
+                saved(planes / 65536, photometric="minisblack", planarconfig="separate")]
+    return [saved(rgb, photometric="rgb", rowsperstrip=9, compression=packed, predictor=packed is not None)
+            for packed in (None, "zlib", "lzw", "packbits")] + [
+        saved(rgb[..., 0].astype(np.uint8), photometric="miniswhite", tile=(16, 16)),
+        saved(rgb.astype(np.float32), photometric="rgb", compression="zlib", predictor=3),
+        saved(np.dstack([rgb, rgb[..., :1]]), photometric="rgb", extrasamples=["unassalpha"])]
 
 
 def good_texts(reader):
     """Camera files, or a table of curves; and lines to put into camera files."""
     if reader == "curves":
         return [b"wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n550,0.1,0.5,0.3\n700,0.4,0.2,0.1\n"], []
+    if reader == "calibration":
+        return CALIBRATIONS, []
     root = next(folder for folder in Path(__file__).parents if (folder / "README.md").is_file())
     blocks = re.findall(r"```toml\n(.*?)```", (root / "README.md").read_text(), re.S)
     return ([(root / f"gpusim/data/cameras/{name}.toml").read_bytes() for name in camera_names()]
             + [block.encode() for block in blocks], "\n".join(blocks).split("\n"))
+
+
+CALIBRATIONS = [text.encode() for text in (
+    "image_width: 640\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+    "  data: [500.1, 0, 320.5, 0, 501.2, 240.5, 0, 0, 1]\ndistortion_model: plumb_bob\ndistortion_coefficients:\n"
+    "  rows: 1\n  cols: 5\n  data: [-0.2, 0.05, 0.001, 0.002, 0.0]\n",
+    "cam0:\n  camera_model: pinhole\n  intrinsics: [461.6, 460.3, 363.0, 248.1]\n  distortion_model: equidistant\n"
+    "  distortion_coeffs: [-0.01, 0.02, -0.01, 0.003]\n  resolution: [752, 480]\n",
+    "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+    "   dt: d\n   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]\n",
+    '<?xml version="1.0"?>\n<opencv_storage>\n<image_width>640</image_width>\n<image_height>480</image_height>\n'
+    '<camera_matrix type_id="opencv-matrix">\n<rows>3</rows>\n<cols>3</cols>\n<dt>d</dt>\n'
+    "<data>500. 0. 320. 0. 500. 240. 0. 0. 1.</data></camera_matrix>\n</opencv_storage>\n",
+    '{"image_width": 640,\n"image_height": 480,\n"camera_matrix": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],\n'
+    '"distortion_coefficients": [0.1, 0.2, 0, 0, 0]}')]
+
+
+def good_profile(random):
+    """Bytes of a DNG's like: a mosaic with levels and a noise profile of three planes."""
+    import tifffile
+
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, random.integers(0, 1024, (8, 8), np.uint16), photometric="cfa", metadata=None, extratags=[
+        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50714, "H", 1, 64, True),
+        (50717, "H", 1, 1023, True), (51041, "d", 6, (1e-3, 1e-6) * 3, True)])
+    return buffer.getvalue()
 
 
 class Inputs:
@@ -118,9 +191,11 @@ class Inputs:
 
     def __init__(self, reader, folder):
         self.reader, self.lines, self.arrays = reader, [], []
-        if reader in ("camera", "curves"):
+        if reader in ("camera", "curves", "calibration"):
             self.good, self.lines = good_texts(reader)
-        elif reader in ("exr", "png", "jpg"):
+        elif reader == "profile":
+            self.good = [good_profile(np.random.default_rng(7))]
+        elif reader in ("exr", "png", "jpg", "tiff", "planes"):
             self.good = good_pictures(reader, folder)
         else:
             self.arrays, self.good = good_archives(reader), []
@@ -132,13 +207,13 @@ class Inputs:
     def make(self, seed, number) -> bytes:
         random = np.random.default_rng((seed, READERS.index(self.reader), number))
         data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
-        if self.reader == "exr" or random.random() < 0.3:
+        if random.random() < 0.3:
             return mutations.damaged(data, other, random)
         if self.arrays:
             return mutations.archive(mutations.pick(random, self.arrays), random)
         if self.reader == "camera":
             return mutations.toml(data, self.lines, random)
-        return {"curves": mutations.table, "png": mutations.png, "jpg": mutations.jpeg}[self.reader](data, random)
+        return MUTATE[self.reader](data, random)
 
 
 CAMERA = """
@@ -158,9 +233,7 @@ def reading(reader, folder):
     if reader == "curves":
         (folder / "own.toml").write_text(CAMERA)
         return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
-    suffix = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg"}.get(reader, ".npz")
-    read = {"camera": open_camera, "psf": read_psf, "table": read_table}.get(reader, open_scene)
-    return folder / f"input{suffix}", read
+    return folder / f"input{SUFFIXES.get(reader, '.npz')}", READ.get(reader, open_scene)
 
 
 def flaw(error) -> str | None:

@@ -5,7 +5,6 @@ import io
 import re
 import struct
 import zipfile
-import zlib
 
 import numpy as np
 
@@ -129,7 +128,8 @@ def _reheaded(member, random):
         said = ast.literal_eval(header[0].decode().strip())
     except (ValueError, SyntaxError, RecursionError, MemoryError):
         return member
-    if type(said) is not dict or not {"shape", "descr", "fortran_order"} <= said.keys():  # changed before
+    if (type(said) is not dict or not {"shape", "descr", "fortran_order"} <= said.keys()
+            or type(said["shape"]) is not tuple):  # changed before
         return member
     shape, kind, order = repr(said["shape"]), repr(said["descr"]), repr(said["fortran_order"])
     which = int(random.integers(4))
@@ -163,98 +163,6 @@ def _redirected(data, random):
         number = pick(random, (*WORDS, 8, 9, 12, 14, 93, 99, 2048, int(random.integers(10**6))))
         data[at + offset:at + offset + wide] = (number % 256**wide).to_bytes(wide, "little")
     return bytes(data)
-
-
-# ---- PNG and JPEG
-
-
-def png(data: bytes, random) -> bytes:
-    """A PNG of other chunks, with right checksums; pixel data too short, too long or of other filters."""
-    chunks, at = [], 8
-    while at < len(data):
-        length, = struct.unpack_from(">I", data, at)
-        chunks.append([data[at + 4:at + 8], data[at + 8:at + 8 + length]])
-        at += length + 12
-    for _ in range(int(random.integers(1, 3))):
-        where = int(random.integers(len(chunks)))
-        kind = int(random.integers(8))
-        if kind <= 1:
-            header = bytearray(chunks[0][1])
-            at, wide = pick(random, ((0, 4), (4, 4), (8, 1), (9, 1), (9, 1), (10, 1), (11, 1), (12, 1)))
-            number = pick(random, (*WORDS, 2, 3, 4, 6, 8, 16, 5000, 40000))
-            header[at:at + wide] = (number % 256**wide).to_bytes(wide, "big")
-            chunks[0][1] = bytes(header)
-        elif kind <= 3:
-            _repacked(chunks, random)
-        elif kind == 4:
-            chunks[where][1] = damaged(chunks[where][1], b"", random)
-        elif kind == 5:
-            chunks.insert(where, list(pick(random, chunks)))
-        elif kind == 6:
-            name = pick(random, (b"PLTE", b"tRNS", b"iCCP", b"eXIf", b"gAMA", b"zTXt", b"iTXt", b"acTL", b"fcTL",
-                                 b"fdAT", b"cHRM", b"pHYs", b"sRGB", b"QQQQ", b"qqqq", b"\0\0\0\0", b"IEND", b"IDAT",
-                                 b"IHDR"))
-            body = pick(random, (b"", random.bytes(int(random.integers(40))), b"a\0\0" + zlib.compress(bytes(10**6)),
-                                 b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01" + random.bytes(8)))
-            chunks.insert(where, [name, body])
-        elif len(chunks) > 1:
-            del chunks[where]
-    return png_of(chunks)
-
-
-def png_of(chunks) -> bytes:
-    """A PNG of chunks (name, body)."""
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-        for name, body in chunks)
-
-
-def _repacked(chunks, random):
-    """Other pixel data, compressed rightly."""
-    raw = b"".join(body for name, body in chunks if name == b"IDAT")
-    try:
-        lines = zlib.decompress(raw)
-    except zlib.error:
-        return
-    lines = pick(random, (lines[:int(random.integers(len(lines) + 1))], lines + bytes(int(10 ** random.uniform(0, 7))),
-                          damaged(lines, b"", random), b""))
-    packed = zlib.compress(lines, 1)
-    packed = pick(random, (packed, packed, packed[:-4], packed[:-4] + b"abcd", packed + packed))
-    rest = [chunk for chunk in chunks if chunk[0] != b"IDAT"]
-    cut = int(random.integers(len(packed) + 1))
-    chunks[:] = [*rest[:-1], [b"IDAT", packed[:cut]], [b"IDAT", packed[cut:]], *rest[-1:]]
-
-
-def jpeg(data: bytes, random) -> bytes:
-    """A JPEG of other segments: sizes, tables, orientation, an early end."""
-    segments, at = [], 2
-    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != 0xDA:
-        length = struct.unpack_from(">H", data, at + 2)[0] + 2
-        segments.append(data[at:at + length])
-        at += length
-    rest = data[at:]
-    for _ in range(int(random.integers(1, 3))):
-        where = int(random.integers(len(segments))) if segments else 0
-        kind = int(random.integers(6))
-        if kind == 0:
-            rest = rest[:int(random.integers(len(rest) + 1))] + b"\xff\xd9"
-        elif kind == 1 and segments:
-            for number, segment in enumerate(segments):
-                if segment[1] in (0xC0, 0xC2):
-                    at, wide = pick(random, ((4, 1), (5, 2), (7, 2), (9, 1), (11, 1)))
-                    body = bytearray(segment)
-                    body[at:at + wide] = (pick(random, (*WORDS, 3000, 12)) % 256**wide).to_bytes(wide, "big")
-                    segments[number] = bytes(body)
-        elif kind == 2 and segments:
-            segments[where] = segments[where][:4] + damaged(segments[where][4:], b"", random)
-        elif kind == 3 and segments:
-            segments.insert(where, pick(random, segments))
-        elif kind == 4 and segments:
-            del segments[where]
-        else:
-            body = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01" + random.bytes(int(random.integers(12)))
-            segments.insert(where, b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body)
-    return data[:2] + b"".join(segments) + rest
 
 
 # ---- text
@@ -291,6 +199,29 @@ def toml(text: bytes, lines: list, random) -> bytes:
     whole = "\n".join(own).encode()
     return pick(random, (whole,) * 6 + (b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r"), whole + b"\0",
                                         whole + b"\xff", whole.decode().encode("utf-16"), damaged(whole, b"", random)))
+
+
+YAML = (".nan", ".inf", "-1", "0", "2.5", "1e308", "1e-320", "9" * 5000, "''", "[]", "{}", "[[]]", "*a", "&a [*a]",
+        "null", "!!python/object:os.system x", "!!binary x", "!!opencv-matrix 3", "2020-01-01", "12:30:45", "true",
+        "[1, 2]", "[" * 900, "{a: " * 900, "1_000", "0x" + "f" * 4000, "<<: *x", "radtan", "equi", "[equi]",
+        "{radtan: 1}", "&x;")
+
+
+def yaml(text: bytes, random) -> bytes:
+    """YAML, JSON or XML with lines left out and moved, and values of other kinds."""
+    lines = text.decode().split("\n")
+    for _ in range(int(random.integers(1, 4))):
+        where, kind = int(random.integers(len(lines))), int(random.integers(7))
+        if kind <= 2 and ":" in lines[where]:
+            lines[where] = lines[where].split(":")[0] + ": " + pick(random, YAML)
+        elif kind == 3:
+            lines.insert(where, pick(random, lines))
+        elif kind == 4 and len(lines) > 1:
+            del lines[where]
+        else:
+            numbers = re.findall(r"-?\d+\.?\d*", lines[where]) or [" "]
+            lines[where] = lines[where].replace(pick(random, numbers), pick(random, YAML), 1)
+    return "\n".join(lines).encode()
 
 
 CELLS = ("nan", "inf", "-1", "1e400", "", " ", "x", '"', '"a\nb"', "0", "1e-5", "1e5", "400", "\0", "é", "1" * 5000,

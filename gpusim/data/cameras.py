@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.data.calibration import read_calibration
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
 from gpusim.data.learned import read_table
 from gpusim.data.lights import illuminant
+from gpusim.data.noise_profile import read_noise_profile
 from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.calibration import Calibration
 from gpusim.domain.camera import Camera
 from gpusim.domain.camera_keys import MICRO, SECTIONS, section_fields
 from gpusim.domain.display import Display
@@ -30,7 +33,7 @@ from gpusim.io.files import named, read_text, reading
 
 _FOLDER = Path(__file__).with_name("cameras")
 BASE = "phone"  # what an empty file is
-INSTEAD = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there is one
+DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there is one
 LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
 LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
 # A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
@@ -91,7 +94,7 @@ def _over(below, table):
     merged = {section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()}
     for section, keys in table.items():
         if isinstance(keys, dict) and isinstance(merged.get(section), dict):
-            for one, other in (INSTEAD, INSTEAD[::-1]):
+            for one, other in (DEFOCUS, DEFOCUS[::-1]):
                 if section == "optics" and one in keys:
                     merged[section].pop(other, None)
             merged[section] |= keys
@@ -146,9 +149,12 @@ def _camera(path, table):
     optics, sensor = section_fields(path, table, "optics", Optics), section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
-    optics = _lens(path, optics)
+    optics = _lens(path, _calibrated(path, optics, sensor))
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
-    sensor["noise"] = _noise(path, section_fields(path, table, "noise"), sensor)
+    noise = section_fields(path, table, "noise")
+    if "profile" in sensor:
+        _profile(path, sensor, noise)
+    sensor["noise"] = _noise(path, noise, sensor)
     return Camera(name, optics, Sensor(**sensor), _processor(path, section_fields(path, table, "processor")),
                   _display(path, section_fields(path, table, "display")))
 
@@ -174,6 +180,17 @@ def _display(path, fields):
     return Display(name or path.stem, **fields)
 
 
+def _profile(path, sensor, noise):
+    """Put what a DNG's noise profile tells into the fields of sensor and noise."""
+    profile = read_noise_profile(path.parent / sensor.pop("profile"))
+    own = [*(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}) & sensor.keys(),
+           *{"read", "reset", "adc", "row", "column"} & noise.keys()]
+    if own:
+        raise BadFile(path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other")
+    sensor.update(profile.fields)
+    noise["read"] = profile.read
+
+
 def _noise(path, fields, sensor):
     """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
     if fields.get("reset") == "kTC":
@@ -182,6 +199,21 @@ def _noise(path, fields, sensor):
             raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
         fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
     return Noise(**fields)
+
+
+def _calibrated(path, fields, sensor):
+    """Fields of the lens with its calibration as its distortion, and as its focal length where none is given."""
+    calibration = fields.pop("calibration", None)
+    if calibration is None:
+        return fields
+    if "distortion" in fields:
+        raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
+    if not isinstance(calibration, Calibration):
+        calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
+    if "focal_length" not in fields:  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
+        image_distance = calibration.fx * sensor["pixel_pitch"]
+        fields["focal_length"] = image_distance / (1 + image_distance / fields.get("object_distance", np.inf))
+    return {**fields, "distortion": calibration}
 
 
 def _lens(path, fields):

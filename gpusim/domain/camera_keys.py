@@ -5,6 +5,7 @@ import difflib
 
 import numpy as np
 
+from gpusim.domain.calibration import FISHEYE, PINHOLE, Calibration
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadData, BadFile, UnknownName, near, shown
 from gpusim.domain.exposure import AutoExposure
@@ -90,6 +91,30 @@ def _distortion(value):
             return model(**{key.removesuffix("_mm"): _number(_MILLI if key == "radius_mm" else 1.0)(value[key])
                             for key in known})
     raise _Wanted("a table of " + ", or of ".join(", ".join(known) for known in (*models, ("ideal_mm", "real_mm"))))
+
+
+def _calibration(value):
+    """A file and the camera in it, which are read later, when the folder is known; or the numbers themselves."""
+    if type(value) is str:
+        return {"file": value}
+    known = ("width", "height", "fx", "fy", "cx", "cy")
+    if type(value) is not dict or not ({*known} <= value.keys() or "file" in value):
+        raise _Wanted(f'a file, such as "camera_info.yaml", or a table of {", ".join(known)} and coefficients')
+    if "file" in value:
+        if not value.keys() <= {"file", "camera"}:
+            raise _Wanted('a table of file and camera, such as {file = "camchain.yaml", camera = "cam0"}')
+        return {key: _text(item) for key, item in value.items()}
+    given = dict(value)
+    fisheye = _yes_no(given.pop("fisheye", False))
+    order = FISHEYE if fisheye else PINHOLE
+    read = [_whole, _whole, *[_number()] * 4]
+    matrix = [convert(given.pop(key)) for key, convert in zip(known, read, strict=True)]
+    if not given.keys() <= {*order}:
+        raise _Wanted(f"a table of {', '.join(known)} and the coefficients {', '.join(order)}"
+                      + ("" if fisheye else "; or fisheye = true with k1, k2, k3, k4"))
+    used = 1 + max((order.index(key) for key in given), default=-1)
+    count = next(count for count in (0, 4, 5, 8, 12, 14) if count >= used)
+    return Calibration(*matrix, tuple(_number()(given.get(key, 0.0)) for key in order[:count]), fisheye)
 
 
 def _illumination(value):
@@ -186,6 +211,7 @@ _OPTICS = {
     "diffuser_um": ("diffuser", _number(MICRO)),
     "psf": ("psf", _text),
     "distortion": ("distortion", _distortion),
+    "calibration": ("calibration", _calibration),
     "lateral_color": ("lateral_color", _number_or_curve),
 }
 _SENSOR = {
@@ -207,6 +233,7 @@ _SENSOR = {
     "row_time_us": ("row_time", _number(MICRO)),
     "binning": ("binning", _wholes),
     "binning_mode": ("binning_mode", _text),
+    "noise_profile": ("profile", _text),
     "full_well_e": ("full_well", _number()),
     "bits": ("bits", _whole),
     "black_level_dn": ("black_level", _whole),
@@ -246,6 +273,8 @@ _DISPLAY = {
     "curve": ("curve", _number_or_srgb),
     "luminance_cd_per_m2": ("luminance", _number()),
 }
+# fields that another one may stand for
+INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
 SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
 
 
@@ -269,7 +298,8 @@ def section_fields(path, table, section, cls=None):
             raise BadFile(path, str(error)) from None
     required = {field.name for field in dataclasses.fields(cls)
                 if field.default is field.default_factory is dataclasses.MISSING} if cls else ()
-    missing = [key for key, (field, _) in known.items() if field in required and field not in fields]
+    missing = [key for key, (field, _) in known.items()
+               if field in required and not {field, INSTEAD.get(field)} & fields.keys()]
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
     return fields

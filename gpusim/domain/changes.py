@@ -22,6 +22,7 @@ OBJECTS = {"transmission": Spectrum, "defocus": Spectrum, "lateral_color": Spect
 READ = {"qe", "psf", "table"}  # of them those that a camera file names by a text
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
 IN_QE = ("photodetector", "ir_cut", "qe_ends")  # keys of factors of the quantum efficiency, which keeps their product
+IN_FILES = ("calibration", "noise_profile")  # keys that name a file of several settings
 WHOLE = ("optics", "sensor", "processor", "display")
 
 
@@ -79,6 +80,8 @@ def _value(key, name, field, read, value):
     """A value as its field takes it: read as a camera file's, or the object that a file's would become."""
     if name in IN_QE:
         raise BadData(f"{key}: a camera has it in its qe, as a factor; wanted qe, a Spectrum with all factors")
+    if name in IN_FILES:
+        raise BadData(f"{key}: is read by camera files alone; wanted the settings that its file holds")
     kind = OBJECTS.get(field)
     if kind and isinstance(value, kind):
         return value

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
 from gpusim.domain.errors import BadData, OutOfRange
 
 SAMPLES = 4097  # of the field height, for the search of a turning point and the start of Newton's method
@@ -25,7 +26,7 @@ class RadialPolynomial:
     scale: float = 1.0
 
     def __post_init__(self):
-        _check(self, "k1", "k2")
+        check_model(self, "k1", "k2")
 
     def distorted(self, x, y):
         """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
@@ -40,42 +41,6 @@ class RadialPolynomial:
         over_r = np.divide(self.k1, r, out=np.zeros_like(r), where=r > 0) + 2 * self.k2  # (d factor / dr) / r
         return tuple(self.scale * term for term in (factor + x * x * over_r, x * y * over_r, x * y * over_r,
                                                     factor + y * y * over_r))
-
-
-@dataclass(frozen=True)
-class BrownConrady:
-    """x^ = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y^ with p1 and p2 exchanged; times `scale`.
-
-    The coefficients are those of camera calibration when `radius` [m] is the focal length. p1, p2: decentring.
-    Source: Brown, Photogrammetric Engineering 32 (1966) 444. Raises OutOfRange.
-    """
-
-    k1: float
-    k2: float
-    k3: float
-    p1: float
-    p2: float
-    radius: float
-    scale: float = 1.0
-
-    def __post_init__(self):
-        _check(self, "k1", "k2", "k3", "p1", "p2")
-
-    def distorted(self, x, y):
-        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
-        q = x * x + y * y
-        factor = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
-        return (self.scale * (x * factor + 2 * self.p1 * x * y + self.p2 * (q + 2 * x * x)),
-                self.scale * (y * factor + 2 * self.p2 * x * y + self.p1 * (q + 2 * y * y)))
-
-    def derivative(self, x, y):
-        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
-        q = x * x + y * y
-        factor = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
-        slope = 2 * (self.k1 + q * (2 * self.k2 + q * 3 * self.k3))  # (d factor / dr) / r
-        cross = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
-        return tuple(self.scale * term for term in (factor + x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x, cross,
-                                                    cross, factor + y * y * slope + 2 * self.p2 * x + 6 * self.p1 * y))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +67,7 @@ class RadialTable:
                               f"{heights[worst]:.6g} m after {heights[worst - 1]:.6g} m")
         object.__setattr__(self, "ideal", ideal)
         object.__setattr__(self, "real", real)
-        _check(self)
+        check_model(self)
         from scipy.interpolate import CubicSpline
 
         mirrored = np.concatenate([-ideal[:0:-1], ideal]), np.concatenate([-real[:0:-1], real])
@@ -136,25 +101,27 @@ class RadialTable:
                                                     factor + y * y * over))
 
 
-Distortion = RadialPolynomial | BrownConrady | RadialTable
+Model = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Framed
+Distortion = RadialPolynomial | BrownConrady | Fisheye | RadialTable | Calibration
 
 
-def _check(distortion, *coefficients):
-    for name in coefficients:
-        if not np.isfinite(getattr(distortion, name)):
-            raise OutOfRange(f"distortion.{name}", getattr(distortion, name), "a finite number")
-    for name in ("radius", "scale"):
-        if not 0 < getattr(distortion, name) < np.inf:
-            raise OutOfRange(f"distortion.{name}", f"{getattr(distortion, name):.6g}", f"0 < {name} < inf")
+def framed(distortion: Distortion, shape, pitch: float) -> Model:
+    """The distortion of a frame of `shape` = (rows, cols) pixels of `pitch` [m]: a calibration's at this resolution.
+
+    Raises OutOfRange for a calibration of another shape.
+    """
+    return distortion.framed(shape, pitch) if isinstance(distortion, Calibration) else distortion
 
 
-def ideal(distortion: Distortion, x, y):
+def ideal(distortion: Model, x, y):
     """Ideal positions whose images are at (x, y), by Newton's method in float64, to 1e-13 of `radius`.
 
     x, y: distorted positions in units of `radius`. Returns (x, y), the same shapes.
     Raises OutOfRange with the field height where the mapping turns back, if that is before the farthest position.
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    if isinstance(distortion, Framed):
+        return distortion.of_normalised(*ideal(distortion.lens, *distortion.normalised(x, y)))
     wanted = np.hypot(x, y)
     start_r = _start(distortion, wanted)
     u, v = (np.divide(start_r, wanted, out=np.ones_like(wanted), where=wanted > 0) * axis for axis in (x, y))
@@ -192,5 +159,9 @@ def _start(distortion, wanted):
             raise OutOfRange("distortion", f"turns back at ideal field height {r[turn[0]]:.6g} radii, where the image "
                              f"is at {peak:.6g}", f"monotonic up to the frame's corner, {farthest:.6g} radii")
         reach *= 2
-    raise OutOfRange("distortion table", f"ends at an image height of {distortion.distorted(1.0, 0.0)[0]:.6g} radii",
-                     f"a table as far as the frame's corner, {farthest:.6g} radii")
+    if isinstance(distortion, RadialTable):
+        end = distortion.distorted(1.0, 0.0)[0]
+        raise OutOfRange("distortion table", f"ends at an image height of {end:.6g} radii",
+                         f"a table as far as the frame's corner, {farthest:.6g} radii")
+    raise OutOfRange("distortion", f"the image of a plane ends at {peak:.6g} radii", "a lens that sees less than 90 "
+                     f"degrees from its axis up to the frame's corner, {farthest:.6g} radii")

@@ -2,6 +2,7 @@
 
 import io
 import math
+import sys
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -122,6 +123,10 @@ class Archive(Mapping):
                 piece = numbers[first:first + PIECE]
                 if stream.readinto(piece) != len(piece):
                     raise EOFError(f"{member.info.filename!r} ends early")
+            if array.dtype.kind == "U" and array.size:
+                letters = array.reshape(-1).view(np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+                if letters.max() > sys.maxunicode:  # Python would raise what no file should cause
+                    raise UnicodeError(f"{member.info.filename!r} holds letters that are none")
         return array.transpose() if member.fortran else array
 
     def require_memory(self, copies: float):

@@ -5,7 +5,7 @@ import numpy as np
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 
 ALONG = ("axis", "ray", "none")
-FAR = 1e6  # [m] of what renderers call nothing there: 0, infinite or 1e10
+FAR = 1e6  # [m] of what renderers call nothing there: 0 (Mitsuba) or infinite; Blender's 1e10 m may stay
 
 
 def check_depth(along: str, fov: float | None):
@@ -32,5 +32,5 @@ def axial(path, channel: str, distances: np.ndarray, along: str, fov: float | No
         step = 2 * np.tan(fov / 2) / cols
         y, x = (np.arange(rows) + 0.5 - rows / 2) * step, (np.arange(cols) + 0.5 - cols / 2) * step
         depth /= np.sqrt(1 + x**2 + y[:, None] ** 2)
-    depth[(depth == 0) | (depth > FAR)] = FAR
+    depth[(depth == 0) | np.isinf(depth)] = FAR
     return depth

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import warnings
 import zlib
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.files import file_size, named, open_file, reading
 from gpusim.io.png import CHANNELS, png, read_lines
+from gpusim.io.tiff import SUFFIXES as TIFF
+from gpusim.io.tiff import read_picture
 
 ALPHA = {2, 4}  # numbers of channels of which the last is alpha
 # Of a JPEG: each block of 8 x 8 has a bit at least (its mean; ITU-T T.81, F.1.2 and G.1.2), and the samples of at least
@@ -23,18 +26,16 @@ BYTES_PER_PIXEL = 64  # four float64 channels, the picture itself and the coeffi
 
 
 def read_photo(path) -> Basis | Materials:
-    """Read a PNG or JPEG as reflectances: white (1, 1, 1) reflects 1 at every wavelength.
+    """Read a PNG, JPEG or TIFF as reflectances: white (1, 1, 1) reflects 1 at every wavelength.
 
-    The picture is taken as sRGB (an embedded colour profile is not applied), 8 or 16 bits per channel, turned as its
-    EXIF orientation says. Where it is transparent there is darkness behind it.
+    The picture is taken as sRGB (an embedded colour profile is not applied), 8 or 16 bits per channel, or, of floats,
+    as linear sRGB; turned as its orientation says. Where it is transparent there is darkness behind it.
     Colour: `lift`ed; grey: one neutral material and its shading. Raises BadFile and DoesNotFit.
     """
     with named(path):
-        samples = read_samples(path)
-        white = np.iinfo(samples.dtype).max
-        linear = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[samples[..., :3 if samples.shape[-1] > 2 else 1]]
-        if samples.shape[-1] in ALPHA:
-            linear *= samples[..., -1:] / white
+        linear, alpha = _decoded(read_samples(path))
+        if alpha is not None:
+            linear = linear * alpha[..., None]
         if linear.shape[-1] == 1:
             shading = linear[..., 0].astype(np.float32)
             wavelengths = srgb_primaries().wavelengths
@@ -48,11 +49,18 @@ def read_cutout(path) -> tuple[Basis, np.ndarray]:
     A picture without alpha covers all of itself. Raises BadFile and DoesNotFit.
     """
     with named(path):
-        samples = read_samples(path)
-        white, colours = np.iinfo(samples.dtype).max, 3 if samples.shape[-1] > 2 else 1
-        linear = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[samples[..., :colours]]
-        alpha = samples[..., -1] / white if samples.shape[-1] in ALPHA else np.ones(samples.shape[:2])
-        return lift(np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)), alpha.astype(np.float32)
+        linear, alpha = _decoded(read_samples(path))
+        covers = np.ones(linear.shape[:2]) if alpha is None else alpha
+        return lift(np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)), covers.astype(np.float32)
+
+
+def _decoded(samples):
+    """Linear light (rows, cols, 1 or 3), white 1, and alpha (rows, cols) or None, of samples of `read_samples`."""
+    colours, white = samples[..., :3 if samples.shape[-1] > 2 else 1], 1
+    if samples.dtype.kind == "u":
+        white = np.iinfo(samples.dtype).max
+        colours = DISPLAYS["srgb"].decode(np.arange(white + 1) / white)[colours]
+    return colours, samples[..., -1] / white if samples.shape[-1] in ALPHA else None
 
 
 def lift(linear) -> Basis:
@@ -66,12 +74,14 @@ def lift(linear) -> Basis:
 
 
 def read_samples(path) -> np.ndarray:
-    """Samples of a PNG or JPEG, uint8 or uint16, shape (rows, cols, channels).
+    """Samples of a PNG, JPEG or TIFF, uint8, uint16 or (linear) float32, shape (rows, cols, channels).
 
     Channels: 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, alpha). Raises BadFile and DoesNotFit.
     """
     from PIL import Image
 
+    if Path(path).suffix.lower() in TIFF:
+        return read_picture(path)
     with open_file(path) as file, reading(path, "a PNG or JPEG"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of large pictures: they are checked against memory below; of EXIF data
         require_memory(f"{path}: a file", file_size(file))

@@ -16,26 +16,31 @@ from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK, Spectrum, energy_from_photons
 from gpusim.io.depth import axial, check_depth
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
 from gpusim.io.npz import read_npz
 from gpusim.io.photo import lift, read_photo
+from gpusim.io.tiff import SUFFIXES as TIFF
+from gpusim.io.tiff import read_stack
 
-SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg")
+SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg", *TIFF)
+KINDS = ("reflectance", "radiance")
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
 
 
 def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
-               samples_per_pixel=None, depth="axis") -> Scene:
-    """Open a built-in chart (`CHARTS`) or a scene file: spectral or RGB .exr, .npz, or a photograph .png, .jpg.
+               samples_per_pixel=None, depth="axis", wavelengths=None, kind=None) -> Scene:
+    """Open a built-in chart (`CHARTS`) or a scene file: .exr, .npz, a photograph .png, .jpg, .tif, or planes, .tif.
 
     size: columns and rows of the frame of a chart [pixel]; a file has its own size.
     light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
         in the light; where the light is not known, the mean over the scene instead. Without them a scene keeps the
         light that it has; reflectances and photographs alone get D65 with white at 100 cd m-2.
     bands: {channel: wavelength [nm]} of an .exr whose channels are not named by wavelength.
+    wavelengths: [nm], strictly ascending, of the planes of a .tif (pages, or channels of a page). kind: what they hold,
+        "reflectance", as without it, or "radiance" [W m-2 sr-1 nm-1]; of whole numbers the largest stands for 1.
     border, fov [rad]: as in Scene, in exchange for the scene's own.
     samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
         file keeps its samples, they make fewer pixels.
@@ -50,6 +55,10 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         raise OutOfRange("depth", '"ray"', "for .exr files only")
     if bands and path.suffix.lower() != ".exr":
         raise OutOfRange("bands", sorted(bands), "none: bands are named in .exr files only")
+    if wavelengths is not None and path.suffix.lower() not in TIFF:
+        raise OutOfRange("wavelengths", "given", f"for {', '.join(TIFF)} only; other files say theirs")
+    if kind is not None and wavelengths is None:
+        raise OutOfRange("kind", kind, "with wavelengths only")
     if str(name_or_path) in CHARTS:
         scene = chart(str(name_or_path), light=light or LIGHT, luminance=LUMINANCE if luminance is None else luminance,
                       samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
@@ -58,7 +67,10 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         if size:
             raise OutOfRange("size", f"{size[0]} x {size[1]}", f"for charts only; {path} has its own size")
         white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
-        scene = _read(path, white, bands, depth, fov)
+        if wavelengths is not None:
+            scene = _of_stack(path, white, wavelengths, kind or "reflectance")
+        else:
+            scene = _read(path, white, bands, depth, fov)
         scene = relit(path, scene, light, luminance)
     else:
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
@@ -99,6 +111,25 @@ def _read(path, white, bands, depth, fov):
     content = read_photo(path)
     with named(path):
         return Scene(content, white, name=path.stem)
+
+
+def _of_stack(path, white, wavelengths, kind):
+    if kind not in KINDS:
+        raise UnknownName("kind of planes", str(kind), KINDS)
+    try:
+        wavelengths = np.asarray(wavelengths, np.float64)
+    except (TypeError, ValueError):
+        wavelengths = np.empty((0, 0))
+    if wavelengths.ndim != 1 or len(wavelengths) < 2 or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
+            wavelengths[-1] < np.inf):
+        raise OutOfRange("wavelengths", wavelengths.tolist(), "2 or more [nm], positive and strictly ascending")
+    values = read_stack(path, len(wavelengths))
+    illuminated = white
+    if kind == "radiance":
+        values *= (wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED))[:, None, None].astype(np.float32)
+        illuminated = unit_light(wavelengths)
+    with named(path):
+        return Scene(Cube(wavelengths, values), illuminated, name=path.stem)
 
 
 def _of_exr(path, white, bands, along, fov):

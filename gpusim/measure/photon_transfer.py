@@ -65,6 +65,17 @@ class PhotonTransfer:
     dark_current_from_variance: float | None = None
 
     @property
+    def figures(self) -> dict[str, float]:
+        """What `sensor_from_emva1288` takes of it; it wants pixel_pitch, bits, black_level and wavelength beside.
+
+        Nonuniformities that the frames do not resolve are left out.
+        """
+        names = ("gain", "quantum_efficiency", "saturation_capacity", "dark_noise", "dark_current", "dsnu", "dsnu_row",
+                 "dsnu_column", "prnu", "prnu_row", "prnu_column")
+        found = {name: getattr(self, name) for name in names}
+        return {name: value for name, value in found.items() if value is not None and not math.isnan(value)}
+
+    @property
     def snr_max_db(self) -> float:
         """SNR_max [dB]."""
         return 20 * math.log10(self.snr_max)

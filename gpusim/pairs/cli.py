@@ -11,8 +11,9 @@ from gpusim.video.segments import Shard, segments_of
 
 IN_SHARD = 256  # pairs, by default
 MOST = 10**8
-OPTIONS = ("light", "luminance", "border", "samples_per_pixel", "fov", "depth", "tolerance", "guaranteed", "seed",
-           "each", "pictures", "in_shard")  # beside camera, photographs and variety what pairs depend on
+# Beside camera, photographs and variety what pairs depend on
+OPTIONS = ("light", "luminance", "border", "samples_per_pixel", "fov", "depth", "wavelengths", "kind", "tolerance",
+           "guaranteed", "seed", "each", "pictures", "in_shard")
 
 
 def add_command(commands):

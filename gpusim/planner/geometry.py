@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.distortion import Distortion, ideal
+from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.view import View
@@ -47,7 +47,7 @@ class DistortionGrid:
         return line + (f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else "")
 
 
-def distortion_grid(distortion: Distortion, shape, pitch, source_shape=None, source_pitch=None,
+def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_pitch=None,
                     tolerance=1e-3) -> DistortionGrid:
     """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
 

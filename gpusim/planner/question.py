@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.domain.account import SAFETY
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
+from gpusim.domain.distortion import Model, framed
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
@@ -89,6 +90,12 @@ class Question:
     def pitch(self) -> float:
         """Distance of the samples [m]."""
         return self.sensor.pixel_pitch / self.ratio
+
+    @property
+    def distortion(self) -> Model | None:
+        """The lens's, for this frame; None: it shows what a pinhole does. Raises OutOfRange."""
+        distortion = self.optics.distortion
+        return None if distortion is None else framed(distortion, self.scene.shape, self.sensor.pixel_pitch)
 
     @property
     def size(self) -> tuple[int, int]:

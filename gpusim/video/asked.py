@@ -66,9 +66,9 @@ def _scenes(arguments):
     if arguments.transfer is not None and not films:
         raise OutOfRange("--transfer", arguments.transfer, f"for videos alone ({', '.join(SUFFIXES)})")
     if films:
-        if arguments.size or arguments.band or arguments.fov or arguments.depth != "axis":
-            raise OutOfRange("--size, --band, --fov, --depth", "given", "none for a video, which has its own size and "
-                             "colours, and no depth")
+        if any((arguments.size, arguments.band, arguments.fov, arguments.depth != "axis", arguments.wavelengths)):
+            raise OutOfRange("--size, --band, --wavelengths, --fov, --depth", "given", "none for a video, which has "
+                             "its own size and colours, and no depth")
         options = {name: getattr(arguments, name) for name in ("light", "luminance", "border", "samples_per_pixel")}
         film = Film(Path(names[0]), arguments.transfer,
                     **{name: value for name, value in options.items() if value is not None})

@@ -13,9 +13,9 @@ from gpusim.video.ramps import Ramps
 from gpusim.video.segments import LENGTH, Shard, segments_of
 
 # Beside camera and scenes what frames depend on
-OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "fov", "depth", "tolerance",
-           "guaranteed", "seed", "segment", "pan", "roll", "zoom", "zooming", "shake", "blur", "flicker", "pwm", "ramp",
-           "lag", "actor", "fps")
+OPTIONS = ("transfer", "size", "light", "luminance", "border", "samples_per_pixel", "band", "fov", "depth",
+           "wavelengths", "kind", "tolerance", "guaranteed", "seed", "segment", "pan", "roll", "zoom", "zooming",
+           "shake", "blur", "flicker", "pwm", "ramp", "lag", "actor", "fps")
 
 
 def add_command(commands):

@@ -1,5 +1,7 @@
 """OpenEXR files of other programs: Indigo, Mitsuba 3, Blender's names, colour-science; depth, primaries."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -74,10 +76,10 @@ def test_a_depth_channel_is_the_scenes_depth(tmp_path, name, layer):
 
 def test_what_is_nowhere_is_far_and_z_comes_first(tmp_path):
     path, stored = tmp_path / "a.exr", plane(3)
-    stored[0, :4] = 0, np.inf, 1e10, 1e7
+    stored[0, :3] = 0, np.inf, 1e10
     write_channels(path, RGB | {"Z": stored, "depth.T": plane(7)})
     scene = open_scene(path)
-    np.testing.assert_array_equal(scene.depth[0], [1e6, 1e6, 1e6, 1e6, 3])
+    np.testing.assert_array_equal(scene.depth[0], [1e6, 1e6, 1e10, 3, 3])
     assert scene.notes[0] == "depth is channel 'Z'; not read: depth.T"
 
 
@@ -111,6 +113,16 @@ def test_depth_refusals(tmp_path):
         open_scene(path, depth="ray", fov=1.0)
 
 
+def test_the_command_line_takes_depth_along_rays(tmp_path, capsys):
+    from gpusim.cli import main
+
+    path = tmp_path / "a.exr"
+    write_channels(path, {key: plane(0.5, shape=(8, 8)) for key in "RGB"} | {"depth.T": plane(4, shape=(8, 8))})
+    asked = ["simulate", str(path), "--camera", "mono", "--device", "numpy", "--depth", "ray"]
+    assert main(asked) == 2 and "field of view" in capsys.readouterr().err
+    assert main([*asked, "--fov", "40"]) == 0 and "along each pixel's ray" in capsys.readouterr().out
+
+
 # ---- primaries
 
 
@@ -139,6 +151,19 @@ def test_other_primaries_become_srgb_as_in_colour_science(tmp_path, name):
     np.testing.assert_allclose(read_exr(tmp_path / "a.exr").values, 1, atol=2e-6)  # float32, likewise
 
 
+@pytest.mark.parametrize("names", ["XYZ", "RGB"])  # Mitsuba's; and RGB whose primaries are those of XYZ
+def test_xyz_is_taken_as_it_is(tmp_path, names):
+    """A colour by the matrix of IEC 61966-2-1, from which ours differs by up to 3e-4; Z is no depth."""
+    wanted = np.array([0.2, 0.5, 0.7])
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ wanted
+    channels = {name: plane(value) for name, value in zip(names, xyz, strict=True)}
+    write_channels(tmp_path / "a.exr", channels, chromaticities=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3))
+    held = read_exr(tmp_path / "a.exr")
+    # 3e-4 of each of the three, which add up to 1.4, by a row of the inverse, whose entries add up to 5.3
+    np.testing.assert_allclose(held.values[:, 1, 1], wanted, atol=3e-4 * 1.4 * 5.3)
+    assert held.kind == "rgb" and held.depth is None
+
+
 def test_srgb_is_left_as_it_is(tmp_path):
     rgb = RANDOM.random((3, 4, 5), np.float32)
     rgb_file(tmp_path / "a.exr", rgb, [*DISPLAYS["srgb"].primaries, DISPLAYS["srgb"].white])
@@ -163,6 +188,24 @@ def test_colors_outside_srgb_keep_their_luminance_and_the_report_says_so(tmp_pat
     np.testing.assert_allclose(got[:, 2:], 0.5, atol=1e-6)
     report = Simulator(open_camera("mono"), device="numpy")(scene).report
     assert any("colours outside sRGB" in note and "3.1 %" in note for note in report.notes)  # 2 of 64
+
+
+def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch):
+    """NumPy's own, while colours of other primaries are drawn into sRGB; a depth beside them."""
+    path, asked = tmp_path / "a.exr", []
+    rgb = RANDOM.random((3, 400, 500), np.float32)
+    write_channels(path, dict(zip("RGB", rgb, strict=True)) | {"Z": rgb[0] + 1},
+                   chromaticities=(0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290))
+    read_exr(path)  # modules and tables of the program are loaded
+    monkeypatch.setattr("gpusim.io.exr.require_memory", lambda what, needed: asked.append(needed))
+    tracemalloc.start()
+    try:
+        held = read_exr(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert held.notes and held.depth is not None
+    assert peak <= sum(asked) + 2**18, f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"  # names, headers
 
 
 @pytest.mark.parametrize("chromaticities", [np.zeros(8), np.full(8, np.nan), np.full(8, 1e30), np.full(8, 0.3)])

@@ -239,7 +239,7 @@ def test_missing_file(tmp_path, suffix):
         open_scene(tmp_path / f"none{suffix}")
 
 
-@pytest.mark.parametrize("name", ["colourchequer", "scene.tiff", "", "flat.txt"])
+@pytest.mark.parametrize("name", ["colourchequer", "scene.bmp", "", "flat.txt"])
 def test_unknown_scene(name):
     with fails(UnknownName, f"unknown scene {name!r}"):
         open_scene(name)

@@ -12,7 +12,7 @@ import zlib
 import fuzz
 import numpy as np
 import pytest
-from mutations import png_of
+from picture_mutations import png_of
 from refusals import SMALL, WAVES, archive, refused, takes
 
 from gpusim.data.cameras import open_camera
@@ -37,7 +37,7 @@ def test_damaged_files_are_refused(reader):
 @pytest.mark.parametrize("seed", fuzz.SEEDS)
 @pytest.mark.parametrize("reader", fuzz.READERS)
 def test_many_damaged_files_are_refused(reader, seed):
-    """120,000 files, in a process with little memory; LONGEST seconds and LARGEST bytes at most for any of them."""
+    """180,000 files, in a process with little memory; LONGEST seconds and LARGEST bytes at most for any of them."""
     row = fuzz.in_a_process(reader, seed, 5000)
     assert row["mutated"] == 5000 and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
 
@@ -280,6 +280,19 @@ def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, reade
         tracemalloc.stop()
     # what is not of the arrays: 256 kB pieces of them, zlib's window, spectra, names
     assert peak <= sum(asked) + 2**20, f"{peak / 2**20:.1f} MiB of {sum(asked) / 2**20:.1f}"
+
+
+def test_letters_that_are_none(tmp_path):
+    for kind in ("<u4", ">u4"):
+        buffer = io.BytesIO()
+        np.lib.format.write_array_header_1_0(buffer, {"descr": kind.replace("u4", "U2"), "fortran_order": False,
+                                                      "shape": ()})
+        data = np.array([65, 0x110000], kind).tobytes()
+        path = archive(tmp_path / "a.npz", cube=np.ones((3, 4, 5)), wavelengths_nm=WAVES)
+        with zipfile.ZipFile(path, "a") as file:
+            file.writestr("name.npy", buffer.getvalue() + data)
+        with refused(path, "letters that are none", error=BadFile):
+            open_scene(path)
 
 
 def test_an_array_that_says_more_than_its_file_holds_is_refused(tmp_path):

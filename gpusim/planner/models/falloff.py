@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpusim.domain.account import SAFETY, total
+from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import ideal
 from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
 from gpusim.planner.notes import Notes
@@ -46,7 +47,7 @@ def _lens(question, notes):
         slope = (2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1] if scene.fov
                  else sensor.pixel_pitch / optics.image_distance)
         if optics.distortion is not None:  # the law is that of the angle at which light comes, not of where it lands
-            return {"cos^4 of the undistorted field": (1 + (slope * _undistorted(question)) ** 2) ** -2}, 0.0
+            return {"cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2}, 0.0
         if not any(displacement):
             return {}, slope
         # the law that goes with the exposure is that of a grid in the middle
@@ -59,9 +60,15 @@ def _lens(question, notes):
         displacement=displacement)}, 0.0
 
 
-def _undistorted(question):
-    """Distance from the axis [pixel] at which every pixel's light would land without distortion, (rows, cols)."""
-    distortion, pitch = question.optics.distortion, question.sensor.pixel_pitch
+def _tangent(question, slope):
+    """Tangent of the angle from the axis at which every pixel's light comes, (rows, cols).
+
+    slope: of a pinhole per pixel; a calibration has its own.
+    """
+    distortion, pitch = question.distortion, question.sensor.pixel_pitch
     y, x = ((np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
             for n, move in zip(question.scene.shape, question.sensor.displacement, strict=True))
-    return np.hypot(*ideal(distortion, x, y[:, None])) * distortion.radius / pitch
+    x, y = ideal(distortion, x, y[:, None])
+    if isinstance(distortion, Framed):
+        return np.hypot(*distortion.normalised(x, y))
+    return np.hypot(x, y) * distortion.radius / pitch * slope

@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpusim.domain.account import SAFETY, total
+from gpusim.domain.calibration import Calibration
 from gpusim.planner.geometry import DistortionGrid, distortion_grid
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
@@ -23,7 +24,7 @@ def distorted(question: Question, probes: Probes | None, notes: Notes) -> Distor
 
     probes: of the scene, where there is a tolerance. Raises OutOfRange.
     """
-    distortion = question.optics.distortion
+    distortion = question.distortion
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
@@ -37,4 +38,20 @@ def distorted(question: Question, probes: Probes | None, notes: Notes) -> Distor
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
+    if isinstance(question.optics.distortion, Calibration):
+        _note_calibration(question, question.optics.distortion, notes)
     return made
+
+
+def _note_calibration(question, calibration, notes):
+    """Say what the frame takes from a calibration, and what goes on about the frame's middle."""
+    notes.models["optics.distort"] += f"; {calibration}"
+    across = calibration.width / calibration.fx  # of the pinhole's picture, in focal lengths
+    given = question.scene.fov and 2 * np.tan(question.scene.fov / 2)
+    if given and abs(given / across - 1) > NEGLIGIBLE:
+        notes.left_out.append(f"the scene's field of view, {np.degrees(question.scene.fov):.4g} deg: taken for that of "
+                              f"the calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg")
+    move = np.hypot(*calibration.off_middle)
+    if move > 0.5 and (question.optics.varies or not isinstance(question.optics.relative_illumination, str)):
+        notes.left_out.append(f"principal point {move:.3g} pixels off the middle: distortion and cos^4 follow it; blur "
+                              "and a given relative illumination stay about the frame's middle")

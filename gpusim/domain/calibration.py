@@ -1,0 +1,267 @@
+"""A camera's geometry as calibration gives it: OpenCV's camera matrix and its two models of distortion."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange, checked_count
+
+PINHOLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")  # OpenCV's order
+FISHEYE = ("k1", "k2", "k3", "k4")
+COUNTS = (0, 4, 5, 8, 12, 14)  # of coefficients that OpenCV knows for a pinhole
+STEEPEST_TILT = 1.5  # [rad] of the sensor against the lens
+ROUNDING = 1.0  # [pixel]; scaled sizes are rounded to whole pixels
+
+
+def check_model(distortion, *coefficients):
+    """Raise OutOfRange unless the coefficients are finite and radius and scale positive."""
+    for name in coefficients:
+        if not np.isfinite(getattr(distortion, name)):
+            raise OutOfRange(f"distortion.{name}", getattr(distortion, name), "a finite number")
+    for name in ("radius", "scale"):
+        if not 0 < getattr(distortion, name) < np.inf:
+            raise OutOfRange(f"distortion.{name}", f"{getattr(distortion, name):.6g}", f"0 < {name} < inf")
+
+
+@dataclass(frozen=True)
+class BrownConrady:
+    """x^ = x N(r^2) / D(r^2) + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4, y^ with p1 and p2 exchanged, s3 and s4.
+
+    N(q) = 1 + k1 q + k2 q^2 + k3 q^3, D(q) = 1 + k4 q + k5 q^2 + k6 q^3; then seen on a sensor that is tilted by tau_x
+    and tau_y [rad]; times `scale`. The coefficients are those of camera calibration (OpenCV's calib3d) when `radius`
+    [m] is the focal length. p1, p2: decentring. s1 .. s4: thin prism.
+    Source: Brown, Photogrammetric Engineering 32 (1966) 444; Claus and Fitzgibbon, CVPR 2005 (rational); Weng, Cohen
+    and Herniou, PAMI 14 (1992) 965 (thin prism); Louhichi et al., Meas. Sci. Technol. 18 (2007) 2616 (tilt).
+    Raises OutOfRange.
+    """
+
+    k1: float
+    k2: float
+    k3: float
+    p1: float
+    p2: float
+    radius: float
+    scale: float = 1.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    tau_x: float = 0.0
+    tau_y: float = 0.0
+
+    def __post_init__(self):
+        check_model(self, *PINHOLE)
+        for name in ("tau_x", "tau_y"):
+            if not abs(getattr(self, name)) <= STEEPEST_TILT:
+                raise OutOfRange(f"distortion.{name}", f"{getattr(self, name):.6g} rad",
+                                 f"-{STEEPEST_TILT} <= {name} <= {STEEPEST_TILT}")
+
+    @cached_property
+    def _tilt(self):
+        """Projective map of the untilted image onto the tilted sensor along the axis, (3, 3); None without a tilt."""
+        if not (self.tau_x or self.tau_y):
+            return None
+        (cx, cy), (sx, sy) = np.cos([self.tau_x, self.tau_y]), np.sin([self.tau_x, self.tau_y])
+        turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
+        return np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+
+    def _untilted(self, x, y):
+        """Position without tilt and scale; radial factor, and its derivative by r over r."""
+        q = x * x + y * y
+        above = 1 + q * (self.k1 + q * (self.k2 + q * self.k3))
+        below = 1 + q * (self.k4 + q * (self.k5 + q * self.k6))
+        factor = above / below
+        slope = 2 * (self.k1 + q * (2 * self.k2 + q * 3 * self.k3)
+                     - factor * (self.k4 + q * (2 * self.k5 + q * 3 * self.k6))) / below
+        return (x * factor + 2 * self.p1 * x * y + self.p2 * (q + 2 * x * x) + q * (self.s1 + q * self.s2),
+                y * factor + 2 * self.p2 * x * y + self.p1 * (q + 2 * y * y) + q * (self.s3 + q * self.s4),
+                factor, slope)
+
+    def distorted(self, x, y):
+        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        u, v, _, _ = self._untilted(x, y)
+        if self._tilt is not None:
+            (a, b, c), (d, e, f), (g, h, i) = self._tilt
+            w = g * u + h * v + i
+            u, v = (a * u + b * v + c) / w, (d * u + e * v + f) / w
+        return self.scale * u, self.scale * v
+
+    def derivative(self, x, y):
+        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        u, v, factor, slope = self._untilted(x, y)
+        q = x * x + y * y
+        prism_x, prism_y = 2 * (self.s1 + 2 * q * self.s2), 2 * (self.s3 + 2 * q * self.s4)
+        cross = x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
+        terms = (factor + x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x + x * prism_x, cross + y * prism_x,
+                 cross + x * prism_y, factor + y * y * slope + 2 * self.p2 * x + 6 * self.p1 * y + y * prism_y)
+        if self._tilt is not None:
+            (a, b, c), (d, e, f), (g, h, i) = self._tilt
+            w = g * u + h * v + i
+            s, t = (a * u + b * v + c) / w, (d * u + e * v + f) / w
+            along, across = ((a - s * g) / w, (b - s * h) / w), ((d - t * g) / w, (e - t * h) / w)
+            terms = tuple(m * terms[col] + n * terms[2 + col] for m, n in (along, across) for col in (0, 1))
+        return tuple(self.scale * term for term in terms)
+
+
+@dataclass(frozen=True)
+class Fisheye:
+    """r^ = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta = atan r; times `scale`.
+
+    The coefficients are those of OpenCV's fisheye model, ROS's and Kalibr's equidistant, when `radius` [m] is the focal
+    length. Source: Kannala and Brandt, PAMI 28 (2006) 1335. Raises OutOfRange.
+    """
+
+    k1: float
+    k2: float
+    k3: float
+    k4: float
+    radius: float
+    scale: float = 1.0
+
+    def __post_init__(self):
+        check_model(self, *FISHEYE)
+
+    def _radial(self, r):
+        """r^ / r and the derivative of r^ by r, without scale."""
+        theta = np.arctan(r)
+        q = theta * theta
+        height = theta * (1 + q * (self.k1 + q * (self.k2 + q * (self.k3 + q * self.k4))))
+        slope = 1 + q * (3 * self.k1 + q * (5 * self.k2 + q * (7 * self.k3 + q * 9 * self.k4)))
+        return np.divide(height, r, out=np.ones_like(r), where=r > 0), slope / (1 + r * r)
+
+    def distorted(self, x, y):
+        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        factor = self.scale * self._radial(np.hypot(x, y))[0]
+        return x * factor, y * factor
+
+    def derivative(self, x, y):
+        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        r = np.hypot(x, y)
+        factor, slope = self._radial(r)
+        over = np.divide(slope - factor, r * r, out=np.zeros_like(r), where=r > 0)
+        return tuple(self.scale * term for term in (factor + x * x * over, x * y * over, x * y * over,
+                                                    factor + y * y * over))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Camera matrix and distortion, as OpenCV, ROS and Kalibr give them, of pictures of width x height pixels.
+
+    A pinhole with this camera matrix makes the scene, as `cv2.undistort` gives it back: a point that it has at pixel p
+    is seen by the camera where `cv2.projectPoints` puts it. Frames of another resolution but the same shape scale the
+    camera matrix; frames of another shape are refused.
+    width, height: [pixel]. fx, fy: focal lengths [pixel]. cx, cy: principal point [pixel], (0, 0) the middle of the
+    first one. coefficients: in OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]], none for a
+    pinhole; or k1 k2 k3 k4 of the fisheye model (equidistant) with `fisheye`. Raises BadData, OutOfRange.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    coefficients: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def __post_init__(self):
+        for key in ("width", "height"):
+            checked_count(f"calibration.{key}", getattr(self, key))
+        for key in ("fx", "fy"):
+            if not 0 < getattr(self, key) < np.inf:
+                raise OutOfRange(f"calibration.{key}", f"{getattr(self, key):.6g}", f"0 < {key} < inf pixels")
+        for key, size in (("cx", self.width), ("cy", self.height)):
+            if not -0.5 <= getattr(self, key) <= size - 0.5:
+                raise OutOfRange(f"calibration.{key}", f"{getattr(self, key):.6g}",
+                                 f"a principal point in the picture, -0.5 .. {size - 0.5:g} pixels")
+        count = len(self.coefficients)
+        if count not in ((0, 4) if self.fisheye else COUNTS):
+            raise BadData(f"calibration: {count} coefficients; wanted " + (
+                "4 of a fisheye" if self.fisheye else "4, 5, 8, 12 or 14 (OpenCV's order), or none"))
+        object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
+        _ = self.lens  # its own checks
+
+    @classmethod
+    def of(cls, camera_matrix, coefficients, size, fisheye: bool = False) -> "Calibration":
+        """What `cv2.calibrateCamera` or `cv2.fisheye.calibrate` returned for pictures of size = (width, height).
+
+        camera_matrix: shape (3, 3). coefficients: any shape, or None. Raises BadData, OutOfRange.
+        """
+        try:
+            matrix, (width, height) = np.array(camera_matrix, np.float64), map(int, size)
+            values = np.array([] if coefficients is None else coefficients, np.float64).ravel()
+        except (TypeError, ValueError):
+            raise BadData("calibration: wanted numbers in a camera matrix and its coefficients, and size = (width, "
+                          "height)") from None
+        if matrix.shape != (3, 3):
+            raise BadData(f"calibration: wanted a camera matrix of 3 x 3, got {matrix.shape}")
+        if matrix[0, 1] or matrix[1, 0] or not (matrix[2] == (0, 0, 1)).all():
+            raise BadData("calibration: wanted the camera matrix fx 0 cx, 0 fy cy, 0 0 1, without skew; got "
+                          + ", ".join(" ".join(f"{item:g}" for item in row) for row in matrix))
+        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+        return cls(width, height, fx, fy, cx, cy, tuple(values.tolist()), fisheye)
+
+    @cached_property
+    def lens(self) -> BrownConrady | Fisheye:
+        """The distortion of normalised positions, tangents of field angles: x^ = X / Z distorted, radius 1."""
+        if self.fisheye:
+            return Fisheye(**dict(zip(FISHEYE, self.coefficients or (0.0,) * 4, strict=True)), radius=1.0)
+        known = dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0) | dict(zip(PINHOLE, self.coefficients, strict=False))
+        return BrownConrady(**known, radius=1.0)
+
+    @property
+    def off_middle(self) -> tuple[float, float]:
+        """Place of the principal point from the picture's middle, (x, y) [pixel]."""
+        return self.cx + 0.5 - self.width / 2, self.cy + 0.5 - self.height / 2
+
+    def framed(self, shape, pitch: float) -> "Framed":
+        """The same for a frame of `shape` = (rows, cols) pixels of `pitch` [m]. Raises OutOfRange for another shape."""
+        rows, cols = shape
+        across, down = cols / self.width, rows / self.height
+        if abs(rows - self.height * across) > ROUNDING and abs(cols - self.width * down) > ROUNDING:
+            raise OutOfRange("frame", f"{cols} x {rows} pixels", f"{self.width} x {self.height}, at which the camera "
+                             "was calibrated, or another resolution of the same shape")
+        focal = self.fx * across
+        middle = (((self.cx + 0.5) * across - cols / 2) / focal, ((self.cy + 0.5) * down - rows / 2) / focal)
+        return Framed(self.lens, focal * pitch, self.fy * down / focal, middle)
+
+    def __str__(self):
+        kind = "fisheye" if self.fisheye else "rational" if len(self.coefficients) > 5 else "Brown-Conrady"
+        x, y = self.off_middle
+        return (f"calibrated at {self.width} x {self.height}: {kind if self.coefficients else 'pinhole'}, principal "
+                f"point {x:+.4g}, {y:+.4g} pixels off the middle")
+
+
+@dataclass(frozen=True)
+class Framed:
+    """A calibration for the frame of one resolution: positions from the frame's middle, in units of `radius`.
+
+    lens: distortion of normalised positions. radius: focal length along rows [m]. aspect: of that along columns over
+    it [1]. middle: (x, y) of the principal point, the same in the pinhole's picture and in the camera's.
+    """
+
+    lens: BrownConrady | Fisheye
+    radius: float
+    aspect: float
+    middle: tuple[float, float]
+
+    def normalised(self, x, y):
+        """Positions divided by the focal lengths, from the principal point: tangents of field angles, if ideal."""
+        return x - self.middle[0], (y - self.middle[1]) / self.aspect
+
+    def of_normalised(self, u, v):
+        """The other way round."""
+        return u + self.middle[0], v * self.aspect + self.middle[1]
+
+    def distorted(self, x, y):
+        """Distorted position (x^, y^) of the ideal position (x, y), both in units of `radius`."""
+        return self.of_normalised(*self.lens.distorted(*self.normalised(x, y)))
+
+    def derivative(self, x, y):
+        """(dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
+        a, b, c, d = self.lens.derivative(*self.normalised(x, y))
+        return a, b / self.aspect, c * self.aspect, d

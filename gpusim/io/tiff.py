@@ -1,0 +1,184 @@
+"""TIFF: photographs, and stacks of planes of which the user knows the wavelengths.
+
+Source: TIFF Revision 6.0 (Adobe, 1992); tifffile reads its directories and pixels.
+"""
+
+import logging
+import math
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gpusim.domain.errors import BadFile
+from gpusim.domain.memory import require_memory
+from gpusim.io.files import file_size, open_file, reading
+
+SUFFIXES = (".tif", ".tiff")
+MOST_PAGES = 4096
+LZW = 5
+FLOATING = 3  # predictor
+# Most bytes that a stored byte can stand for: uncompressed; LZW, codes of 12 bits for up to 4096 bytes (section 13);
+# deflate by two numbers, 258 bytes of 2 bits (RFC 1951); packed bits, 128 bytes of 2 (section 9)
+RATIOS = {1: 1, LZW: 2731, 8: 1032, 32946: 1032, 32773: 64}
+TYPES = ("uint8", "uint16", "float16", "float32", "float64")
+WHITE_IS_ZERO, BLACK_IS_ZERO, RGB = 0, 1, 2  # photometric interpretations
+SMALLER, MASK = 1, 4  # bits of the tag NewSubfileType: no pages of their own
+# of samples (rows, cols, channels), by the tag Orientation: where row 0 and column 0 are seen
+TURNS = {1: lambda a: a, 2: lambda a: a[:, ::-1], 3: lambda a: a[::-1, ::-1], 4: lambda a: a[::-1],
+         5: lambda a: a.swapaxes(0, 1), 6: lambda a: a.swapaxes(0, 1)[:, ::-1],
+         7: lambda a: a[::-1, ::-1].swapaxes(0, 1), 8: lambda a: a.swapaxes(0, 1)[::-1]}
+COPIES = 3  # of a page's samples: as stored, decoded, and turned or put into a stack
+FLOATS = 48  # [byte] a pixel of a photograph: three channels as float64, and as coefficients
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of a TIFF as its directory says; alpha: 0 without, 1 premultiplied, 2 apart. source: tifffile's."""
+
+    source: Any
+    shape: tuple[int, int, int]  # planes, rows, cols
+    dtype: np.dtype
+    photometric: int
+    orientation: int
+    alpha: int
+
+
+def read_stack(path, count: int) -> np.ndarray:
+    """Read `count` planes, one a page or several channels of a page, as float32 (L, rows, cols).
+
+    Whole numbers are parts of the largest of their type, so that white is 1; floats are as they are.
+    Raises BadFile, DoesNotFit.
+    """
+    with _opened(path) as (pages, stored):
+        found = sum(page.shape[0] for page in pages)
+        if found != count:
+            raise BadFile(path, f"{found} planes, but {count} wavelengths are given; wanted one for each")
+        first = pages[0]
+        for page in pages:
+            if page.shape[1:] != first.shape[1:] or page.dtype != first.dtype:
+                raise BadFile(path, f"pages of {_said(first)} and of {_said(page)}; wanted planes that are alike")
+        rows, cols = first.shape[1:]
+        largest = max(math.prod(page.shape) for page in pages) * first.dtype.itemsize
+        require_memory(f"{path}: {count} planes of {cols} x {rows} pixels",
+                       4 * count * rows * cols + stored + COPIES * largest)
+        values, start = np.empty((count, rows, cols), np.float32), 0
+        for page in pages:
+            planes = _pixels(path, page)
+            with np.errstate(over="ignore"):  # what is infinite then is refused
+                values[start:start + len(planes)] = planes
+            start += len(planes)
+    if first.dtype.kind == "u":
+        values /= np.float32(np.iinfo(first.dtype).max)
+    _check(path, values)
+    return values
+
+
+def read_picture(path) -> np.ndarray:
+    """Samples of a photograph, uint8, uint16 or float32, shape (rows, cols, channels); channels as in `read_samples`.
+
+    It is turned as its orientation says. A premultiplied alpha is left out: what is behind is dark already.
+    Raises BadFile, DoesNotFit.
+    """
+    with _opened(path) as (pages, stored):
+        if len(pages) > 1:
+            raise BadFile(path, f"{len(pages)} pages; say their wavelengths [nm], such as --wavelengths 400:700:10")
+        page = pages[0]
+        wanted = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3}.get(page.photometric)
+        if wanted is None or page.shape[0] != wanted + (page.alpha > 0):
+            raise BadFile(path, f"{page.shape[0]} channels, {page.source.photometric!r}; wanted "
+                                " grey or RGB, with or without alpha, or wavelengths of its planes")
+        rows, cols = page.shape[1:]
+        nbytes = math.prod(page.shape) * page.dtype.itemsize
+        require_memory(f"{path}: picture of {cols} x {rows} pixels", stored + COPIES * nbytes + FLOATS * rows * cols)
+        samples = np.moveaxis(_pixels(path, page), 0, -1)
+    if samples.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            samples = samples.astype(np.float32)
+        _check(path, samples)
+    if page.photometric == WHITE_IS_ZERO:
+        samples[..., 0] = (np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1) - samples[..., 0]
+    turn = TURNS.get(page.orientation, TURNS[1])
+    return np.ascontiguousarray(turn(samples[..., :-1] if page.alpha == 1 else samples))
+
+
+@contextmanager
+def _opened(path):
+    """Yield the pages of a TIFF that are no smaller copies or masks of others, and the file's size [byte]."""
+    import tifffile
+
+    log = logging.getLogger("tifffile")
+    before, log.disabled = log.disabled, True  # what it says of a file is raised as well
+    try:
+        with open_file(path) as file:
+            with reading(path, "a TIFF"):
+                pages = _pages(path, tifffile.TiffFile(file, name=str(path)), file_size(file))
+            yield pages, file_size(file)
+    finally:
+        log.disabled = before
+
+
+def _pages(path, tiff, size):
+    pages = []
+    for number, page in enumerate(tiff.pages):
+        if number == MOST_PAGES:
+            raise BadFile(path, f"more than {MOST_PAGES} pages")
+        if not int(page.subfiletype) & (SMALLER | MASK):
+            pages.append(_page(path, page, size))
+    if not pages:
+        raise BadFile(path, "no page with a picture")
+    return pages
+
+
+def _page(path, page, size):
+    """What a page holds, if it can be read and its file is long enough."""
+    if page.dtype is None or page.dtype.name not in TYPES:
+        raise BadFile(path, f"samples of {page.bitspersample} bits of the kind {page.sampleformat}; wanted 8 or 16 bit "
+                            "whole numbers, or floats")
+    if int(page.compression) not in RATIOS or int(page.predictor) not in (1, 2, FLOATING):
+        raise BadFile(path, f"compressed by {page.compression!r}, {page.predictor!r}; wanted LZW, deflate or none")
+    if int(page.compression) == LZW or int(page.predictor) == FLOATING:
+        _require_codecs(path, page)
+    shape = {"YX": lambda: (1, *page.shape), "SYX": lambda: page.shape,
+             "YXS": lambda: (page.shape[2], *page.shape[:2])}.get(page.axes, lambda: (0,))()
+    if not all(isinstance(length, int) and length > 0 for length in shape):  # a damaged tag may hold several numbers
+        raise BadFile(path, f"a page of shape {page.shape}, axes {page.axes!r}; wanted rows, columns and channels")
+    ends = [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=False)]
+    if len(ends) < max(1, len(page.databytecounts)) or min(page.databytecounts) < 1 or max(ends) > size:
+        raise BadFile(path, f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}, or parts that "
+                            "are missing")
+    nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
+    if nbytes > RATIOS[int(page.compression)] * stored:
+        raise BadFile(path, f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes, which cannot "
+                            f"come of {stored}")
+    extra = [int(one) for one in page.extrasamples]
+    return Page(page, shape, page.dtype, int(page.photometric), int(page.tags.valueof("Orientation", 1)),
+                extra[0] if len(extra) == 1 and extra[0] in (1, 2) else 0)
+
+
+def _require_codecs(path, page):
+    from importlib.util import find_spec
+
+    if find_spec("imagecodecs") is None:
+        raise BadFile(path, f"compressed by {page.compression!r}, {page.predictor!r}: wanted pip install "
+                            "'gpusim[tiff]', or a file that is not compressed")
+
+
+def _pixels(path, page):
+    """Samples of a page, planes first."""
+    with reading(path, "a TIFF whose pixels can be read"):
+        pixels = page.source.asarray(maxworkers=1).reshape(page.source.shape)
+    return np.moveaxis(pixels, -1, 0) if page.source.axes == "YXS" else pixels.reshape(page.shape)
+
+
+def _check(path, values):
+    low, high = float(values.min()), float(values.max())
+    if not np.isfinite([low, high]).all():
+        raise BadFile(path, "NaN or infinite values, or more than float32 holds")
+    if low < 0:
+        raise BadFile(path, f"negative values (lowest {low:.3g})")
+
+
+def _said(page):
+    return f"{page.shape[2]} x {page.shape[1]} {page.dtype}"
