@@ -36,7 +36,8 @@ _PUBLIC = {
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
     "illuminated": "gpusim.data.illumination",
-    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "preview": "gpusim.preview",
+    "open_scene": "gpusim.io.scenes", "save_scene": "gpusim.io.scenes",
+    "picture": "gpusim.io.scenes", "preview": "gpusim.preview",
 }
 __all__ = sorted(_PUBLIC)
 

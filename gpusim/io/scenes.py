@@ -1,4 +1,4 @@
-"""From a chart's name, a file or a frame of a video to a Scene."""
+"""From a chart's name, a file or a frame of a video to a Scene, and back to a file."""
 
 import dataclasses
 import functools
@@ -15,12 +15,13 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
-from gpusim.domain.scene import Scene, unit_light
+from gpusim.domain.scene import Scene, checked_scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
-from gpusim.io.npz import read_npz
+from gpusim.io.npz import read_npz, write_npz
 from gpusim.io.photo import lift, read_photo
+from gpusim.io.scene_exr import scene_parts, write_scene_exr
 
 SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg")
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
@@ -59,6 +60,28 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
 
 
+def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False):
+    """Write a scene to a file that `open_scene` reads.
+
+    .npz: all of it, as it is. .exr: spectral OpenEXR that other programs read, one channel for each wavelength, and the
+    depth as channel Z: reflectances, or radiance where the light is not known; every form becomes a cube of float32,
+    and what a basis undershoots below 0 is 0. `open_scene` finds the light, border and the rest in an attribute.
+    radiance: write that, although the light is known; it is taken at the scene's wavelengths, so lines between them are
+    lost, and so is what tells light from surfaces. half: 16-bit floats. Both are for .exr alone.
+    Raises BadFile, also for layers and views, which no file holds, and for reflectances in light that varies;
+    BadData, DoesNotFit, OutOfRange, UnknownName. Layout: see `gpusim.io.exr`.
+    """
+    suffix, scene = Path(path).suffix.lower(), checked_scene(scene)
+    if suffix == ".exr":
+        write_scene_exr(path, scene, radiance=radiance, half=half)
+    elif suffix != ".npz":
+        raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
+    elif radiance or half:
+        raise OutOfRange("radiance, half", "given for .npz", "for .exr alone: an .npz holds a scene as it is")
+    else:
+        write_npz(path, scene)
+
+
 def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options) -> Scene:
     """Lift encoded pixels, such as a video's frame, to reflectances as `open_scene` does a photograph's.
 
@@ -86,16 +109,17 @@ def _read(path, white, bands):
     """Return the scene of a file; `white` is the radiance of white where the file does not know its light."""
     if path.suffix.lower() == ".npz":
         return read_npz(path, white)
-    illuminated = white
+    parts = {"name": path.stem, "illuminant": white}
     if path.suffix.lower() == ".exr":
         kind, wavelengths, values = read_exr(path, bands)
         content = lift(values) if kind == "rgb" else Cube(wavelengths, values)
+        parts |= scene_parts(path)
         if kind == "radiance":
-            illuminated = unit_light(wavelengths)
+            parts["illuminant"] = unit_light(wavelengths)
     else:
         content = read_photo(path)
     with named(path):
-        return Scene(content, illuminated, name=path.stem)
+        return Scene(content, **parts)
 
 
 def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
