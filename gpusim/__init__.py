@@ -40,8 +40,8 @@ _PUBLIC = {
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
     "illuminated": "gpusim.data.illumination",
-    "open_scene": "gpusim.io.scenes", "picture": "gpusim.io.scenes", "scene_from": "gpusim.io.arrays",
-    "preview": "gpusim.preview",
+    "open_scene": "gpusim.io.scenes", "save_scene": "gpusim.io.scenes",
+    "picture": "gpusim.io.scenes", "scene_from": "gpusim.io.arrays", "preview": "gpusim.preview",
 }
 __all__ = sorted(_PUBLIC)
 
@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     )
     from gpusim.captures.moving import expose_motion as expose_motion, expose_moving as expose_moving
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
+    from gpusim.data.calibration import read_calibration as read_calibration
     from gpusim.data.cameras import camera_names as camera_names, open_camera as open_camera
     from gpusim.data.charts import chart as chart
     from gpusim.data.displays import (
@@ -69,7 +70,12 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.data.emva1288 import sensor_from_emva1288 as sensor_from_emva1288
     from gpusim.data.illumination import illuminated as illuminated
     from gpusim.data.lights import illuminant as illuminant
+    from gpusim.data.noise_profile import read_noise_profile as read_noise_profile
+    from gpusim.data.optiland import optiland_psf as optiland_psf
+    from gpusim.data.psf import read_psf as read_psf, write_psf as write_psf
+    from gpusim.data.zemax import read_zemax_psf as read_zemax_psf
     from gpusim.domain.animation import Actor as Actor, Animation as Animation
+    from gpusim.domain.calibration import Calibration as Calibration
     from gpusim.domain.camera import Camera as Camera
     from gpusim.domain.content import Basis as Basis, Cube as Cube, Materials as Materials, Picture as Picture
     from gpusim.domain.display import Display as Display
@@ -81,6 +87,7 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.domain.noise import Noise as Noise
     from gpusim.domain.optics import Optics as Optics
     from gpusim.domain.processor import Processor as Processor
+    from gpusim.domain.psf import PointSpread as PointSpread
     from gpusim.domain.scene import Layer as Layer, Scene as Scene
     from gpusim.domain.sensor import Sensor as Sensor
     from gpusim.domain.spectrum import Spectrum as Spectrum
@@ -89,7 +96,8 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.frame import Frame as Frame
     from gpusim.io.arrays import scene_from as scene_from
     from gpusim.io.events import write_events as write_events
-    from gpusim.io.scenes import open_scene as open_scene, picture as picture
+    from gpusim.io.scenes import open_scene as open_scene, picture as picture, save_scene as save_scene
+    from gpusim.measure import photon_transfer as photon_transfer
     from gpusim.preview import preview as preview
     from gpusim.program.program import Program as Program
     from gpusim.readout import Readout as Readout

@@ -125,22 +125,27 @@ def _size(header):
     return bottom - top + 1, right - left + 1
 
 
-def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=False):
+def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=False, more=None, **attributes):
     """Write a spectral OpenEXR.
 
     wavelengths: [nm], shape (L,). values: shape (L, rows, cols), radiance [photon s-1 m-2 sr-1 nm-1], written as
     S0 channels in W m-2 sr-1 nm-1; or, with `reflectance`, reflectance [1], written as T channels. half: 16-bit floats.
+    more: {name: plane (rows, cols)} of other channels, as 32-bit floats. attributes: of the header, besides.
     Raises BadData and BadFile.
     """
-    values = np.asarray(values, np.float64)
+    values = np.asarray(values)
     if values.ndim != 3 or len(values) != len(wavelengths) or values.size == 0:
         raise BadData(f"{path}: values {values.shape} do not match {len(wavelengths)} wavelengths")
     channels = {}
     for nm, plane in zip(wavelengths, values, strict=True):
         energy = 1.0 if reflectance else PLANCK * LIGHT_SPEED / (nm * 1e-9)
         name = ("T." if reflectance else "S0.") + f"{nm:.6f}nm".replace(".", ",")
-        channels[name] = _narrowed(path, name, plane * energy, half)
-    _write(path, channels, spectralLayoutVersion="1.0", **({} if reflectance else {"emissiveUnits": UNITS}))
+        channels[name] = _narrowed(path, name, np.asarray(plane, np.float64) * energy, half)
+    if len(channels) < len(values):
+        raise BadData(f"{path}: wavelengths nearer to each other than the 1e-6 nm that channels' names tell apart")
+    channels |= {name: _narrowed(path, name, plane, False) for name, plane in (more or {}).items()}
+    units = {} if reflectance else {"emissiveUnits": UNITS}
+    _write(path, channels, spectralLayoutVersion="1.0", **units, **attributes)
 
 
 def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):

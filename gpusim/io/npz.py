@@ -36,11 +36,8 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")  # the key that says 
 
 def write_npz(path, scene: Scene):
     """Write a scene with all that belongs to it; `read_npz` gives the same back. Raises BadFile."""
+    check_whole(path, scene)
     content = scene.content.on_host()
-    if not scene.view.is_plain:
-        raise BadFile(path, f"a view of {scene.name}, of which an archive would hold the whole: write it without view")
-    if scene.layers:
-        raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: an archive holds one picture and its depth")
     arrays: dict = {"wavelengths_nm": content.wavelengths}
     arrays |= {"cube" if name == "values" else name: getattr(content, name)
                for name in (*content.samples, *content.shared)}
@@ -53,6 +50,14 @@ def write_npz(path, scene: Scene):
         arrays["depth_m"] = scene.depth
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+def check_whole(path, scene: Scene):
+    """Raise BadFile where a scene is more than one picture and its depth, which is what files hold."""
+    if not scene.view.is_plain:
+        raise BadFile(path, f"a view of {scene.name}, of which a file would hold the whole: write it without view")
+    if scene.layers:
+        raise BadFile(path, f"{len(scene.layers)} layers of {scene.name}: a file holds one picture and its depth")
 
 
 def read_npz(path, white: Spectrum) -> Scene:

@@ -1,4 +1,4 @@
-"""From a chart's name, a file or a frame of a video to a Scene."""
+"""From a chart's name, a file or a frame of a video to a Scene, and back to a file."""
 
 import dataclasses
 import functools
@@ -15,13 +15,14 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
-from gpusim.domain.scene import Scene, unit_light
+from gpusim.domain.scene import Scene, checked_scene, unit_light
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK, Spectrum, energy_from_photons
 from gpusim.io.depth import axial, check_depth
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
-from gpusim.io.npz import read_npz
+from gpusim.io.npz import read_npz, write_npz
 from gpusim.io.photo import lift, read_photo
+from gpusim.io.scene_exr import scene_parts, write_scene_exr
 from gpusim.io.tiff import SUFFIXES as TIFF
 from gpusim.io.tiff import read_stack
 
@@ -76,6 +77,28 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
+
+
+def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False):
+    """Write a scene to a file that `open_scene` reads.
+
+    .npz: all of it, as it is. .exr: spectral OpenEXR that other programs read, one channel for each wavelength, and the
+    depth as channel Z: reflectances, or radiance where the light is not known; every form becomes a cube of float32,
+    and what a basis undershoots below 0 is 0. `open_scene` finds the light, border and the rest in an attribute.
+    radiance: write that, although the light is known; it is taken at the scene's wavelengths, so lines between them are
+    lost, and so is what tells light from surfaces. half: 16-bit floats. Both are for .exr alone.
+    Raises BadFile, also for layers and views, which no file holds, and for reflectances in light that varies;
+    BadData, DoesNotFit, OutOfRange, UnknownName. Layout: see `gpusim.io.exr`.
+    """
+    suffix, scene = Path(path).suffix.lower(), checked_scene(scene)
+    if suffix == ".exr":
+        write_scene_exr(path, scene, radiance=radiance, half=half)
+    elif suffix != ".npz":
+        raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
+    elif radiance or half:
+        raise OutOfRange("radiance, half", "given for .npz", "for .exr alone: an .npz holds a scene as it is")
+    else:
+        write_npz(path, scene)
 
 
 def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="picture", **options) -> Scene:
@@ -137,14 +160,15 @@ def _of_exr(path, white, bands, along, fov):
     if along == "ray" and held.depth is None:
         raise BadFile(path, 'no channel of depth, which is asked for by depth = "ray"')
     content = lift(held.values) if held.kind == "rgb" else Cube(held.wavelengths, held.values)
-    depth, notes = None, held.notes
+    parts, notes = {"name": path.stem, "illuminant": white} | scene_parts(path), held.notes
+    if held.kind == "radiance":
+        parts["illuminant"] = unit_light(held.wavelengths)
     if held.depth is not None:
-        depth = axial(path, held.depth_channel, held.depth, along, fov)
+        parts["depth"] = axial(path, held.depth_channel, held.depth, along, fov)
         how = "along each pixel's ray" if along == "ray" else "along the optical axis"
         notes = (*notes, f"depth: channel {held.depth_channel!r}, taken as metres {how}")
     with named(path):
-        return Scene(content, unit_light(held.wavelengths) if held.kind == "radiance" else white, depth=depth,
-                     name=path.stem, notes=notes)
+        return Scene(content, **parts, notes=notes)
 
 
 def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:

@@ -30,8 +30,9 @@ def test_settings_are_those_of_a_camera_file(tmp_path):
         '[display]\nluminance_cd_per_m2 = 80\n')
     found = PHONE.with_(f_number=2.0, object_distance_m=1.5, seidel_waves=(0.1, 0, 0, 0, 0), defocus_diopters=0.25,
                         exposure_time_ms=10, bits=np.int64(12), cfa=["GR", "BG"], full_well_e=9000,
-                        read_e=np.float32(3), **{"noise.seed": 7, "processor.white": np.array([2.0, 1.0, 1.5])}, white_balance="preset",
-                        luminance_cd_per_m2=80)
+                        read_e=np.float32(3),
+                        **{"noise.seed": 7, "processor.white": np.array([2.0, 1.0, 1.5])},
+                        white_balance="preset", luminance_cd_per_m2=80)
     wanted = gs.open_camera(tmp_path / "a.toml")
     assert found.optics == wanted.optics and found.processor == wanted.processor
     for one, other in ((found.sensor, wanted.sensor), (found.display, wanted.display)):
