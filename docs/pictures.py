@@ -1,0 +1,116 @@
+"""Makes the pictures of README.md and of the pages, which are kept in docs/pictures.
+
+    python docs/pictures.py
+
+The gallery's are what the commands below make: README.md has the same commands, and a test compares them.
+"""
+
+import shlex
+import tempfile
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from PIL import Image
+from skimage import data
+
+import gpusim as gs
+from gpusim.cli import main as gpusim
+from gpusim.measure.ideal import ideal
+
+HERE = Path(__file__).parent / "pictures"
+SIZE = (480, 320)
+GALLERY = {  # photo.png: NASA's portrait of Eileen Collins, of scikit-image
+    "lamp": "gpusim simulate colorchecker --camera phone --light A --size 480x320 -o lamp.png",
+    "dark": "gpusim simulate photo.png --camera phone --luminance 5 --exposure 1/15 --iso 800 -o dark.png",
+    "bright": "gpusim simulate photo.png --camera phone --exposure 0.25 -o bright.png",
+    "small-aperture": "gpusim simulate deadleaves --camera phone --f-number 16 --size 480x320 -o small-aperture.png",
+    "mono": "gpusim simulate photo.png --camera mono --f-number 11 -o mono.png",
+    "sweep": "gpusim simulate sweep --camera phone --f-number 1.2 --size 480x320 -o sweep.png",
+}
+
+
+def main():
+    """Make all pictures."""
+    matplotlib.use("Agg")
+    HERE.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        photo = Path(folder) / "photo.png"
+        Image.fromarray(data.astronaut()[0:320, 16:496]).save(photo)
+        gallery(Path(folder))
+        wide(gs.open_scene(photo, luminance=2))
+    accuracy()
+
+
+def gallery(folder):
+    """What the commands write, made in a folder that has photo.png."""
+    for name, command in GALLERY.items():
+        words = [str(folder / word) if word == "photo.png" else str(HERE / word) if word == f"{name}.png" else word
+                 for word in shlex.split(command)[1:]]
+        if status := gpusim(words):
+            raise SystemExit(f"{command}: status {status}")
+
+
+def mosaic(frame, zoom):
+    """Digital numbers in the colours of their filters, a pixel drawn `zoom` times as large."""
+    sensor = frame.camera.sensor
+    level = np.clip((frame.raw.astype(float) - sensor.black_level) / (sensor.white_level - sensor.black_level), 0, 1)
+    level = (level / np.quantile(level, 0.995)).clip(0, 1) ** (1 / 2.2)
+    rows, cols = level.shape
+    y, x = np.indices(level.shape)
+    channel = sensor.cfa_indices[y % len(sensor.cfa), x % len(sensor.cfa[0])]
+    colors = np.zeros((rows, cols, 3))
+    np.put_along_axis(colors, channel[..., None], level[..., None], axis=2)
+    return (255 * colors.repeat(zoom, 0).repeat(zoom, 1)).astype(np.uint8)
+
+
+def wide(scene):
+    """Scene, raw and picture side by side, with a part of each enlarged."""
+    from matplotlib import pyplot as plt
+
+    frame = gs.Simulator(gs.open_camera("phone"), tolerance="video")(scene, seed=1)
+    display, raw = gs.open_display("srgb"), mosaic(frame, 1)
+    linear = np.einsum("pc,cyx->yxp", display.rgb_from_xyz, ideal(scene))
+    seen = display.encode(linear.clip(0, 1))
+    figure, axes = plt.subplots(1, 3, figsize=(12, 2.95))
+    texts = ("scene: light at 31 wavelengths", "raw: electrons, noise, 10 bits", "picture: sRGB")
+    part = np.s_[70:102, 200:248]
+    for axis, image, text in zip(axes, (seen, raw, frame.rgb), texts, strict=True):
+        axis.imshow(image, interpolation="antialiased")
+        axis.set_title(text, fontsize=11)
+        axis.set_axis_off()
+        inset = axis.inset_axes((0.64, 0.02, 0.345, 0.345))
+        inset.imshow(image[part], interpolation="nearest")
+        inset.set_xticks([])
+        inset.set_yticks([])
+        inset.spines[:].set_color("white")
+    figure.subplots_adjust(0.005, 0.01, 0.995, 0.9, 0.02)
+    figure.savefig(HERE / "wide.png", dpi=110)
+    plt.close(figure)
+
+
+def accuracy():
+    """True error over a pixel's noise at three tolerances, beside what was predicted."""
+    from matplotlib import pyplot as plt
+
+    scene, camera = gs.chart("deadleaves", size=(240, 160)), gs.open_camera("phone")
+    truth = gs.Simulator(camera)(scene).mean.astype(float)
+    noise = np.sqrt(truth + camera.sensor.read_sigma**2)
+    figure, axes = plt.subplots(1, 4, figsize=(13, 2.9))
+    axes[0].imshow(gs.Simulator(camera)(scene, seed=1).rgb)
+    axes[0].set_title("the picture", fontsize=9)
+    for axis, asked in zip(axes[1:], ("1e-2", "video", "metrology"), strict=True):
+        frame = gs.Simulator(camera, tolerance=asked)(scene, verify=True)
+        told, true = frame.report.account.total, frame.report.error
+        image = axis.imshow(np.log10(np.abs(frame.mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma")
+        axis.set_title(f"--tolerance {asked}\nrms: predicted {told.rms:.1e}, true {true.rms:.1e}\n"
+                       f"99.9 %: {told.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}", fontsize=8)
+    for axis in axes:
+        axis.set_axis_off()
+    figure.colorbar(image, ax=axes, shrink=0.8, pad=0.01, label="log10 of error over noise")
+    figure.savefig(HERE / "accuracy.png", dpi=110, bbox_inches="tight")
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""A figure for each stage: what its float64 reference makes of a small picture.
+
+Inputs are those of the stage's own `bench`, with a photograph in place of random numbers where a port is a picture.
+"""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+from skimage import data
+from skimage.transform import resize
+
+from gpusim.kernels.stage import stage_module
+
+ROWS, COLS = 64, 96
+WELL = 4e3  # [e-] of the brightest pixel
+RAW = ("raw",)
+ELECTRONS = ("mean", "expected", "rates", "mosaic", "pixels")
+LIGHT = ("planes", "content", "camera", "rgb", "ambient", "flash", "lights", "onto")
+SMOOTH = {  # ports that are no pictures: a blur's contrast, fall-off to the corner, a disc before the rest, patches
+    "tables": lambda value: np.broadcast_to(_centred(value, 3.0, corner=True), value.shape).astype(value.dtype),
+    "gains": lambda value: np.broadcast_to(_centred(value, 0.7), value.shape).astype(value.dtype),
+    "alphas": lambda value: np.broadcast_to(_centred(value, 9.0) > 0.6, value.shape).astype(value.dtype),
+    "maps": lambda value: np.stack([_centred(value, 3.0), 1 - _centred(value, 3.0)]).astype(value.dtype),
+    "shading": lambda value: _centred(value, 1.5).astype(value.dtype),
+    "ids": lambda value: (np.indices(value.shape) // 16 * [[[6]], [[1]]]).sum(0).astype(value.dtype),
+}
+TABLES = ("airy", "near", "pupil")
+
+
+def draw(name, folder):
+    """Draw a stage's figure into a folder, unless it is there and newer than the stage; returns its path, or None."""
+    module, leaf = stage_module(name), name.rpartition(".")[2]
+    reference = importlib.import_module(f"{module.__name__}_ref")
+    path = folder / f"{name.replace('.', '-')}.png"
+    newest = max(Path(file).stat().st_mtime for file in (module.__file__, reference.__file__, __file__))
+    if path.is_file() and path.stat().st_mtime > newest:
+        return path
+    inputs = module.bench(ROWS, COLS)
+    inputs |= {key: pictured(key, value, inputs) for key, value in inputs.items() if is_picture(value)}
+    result = getattr(reference, leaf)(**inputs)
+    result = result[0] if isinstance(result, tuple) else result
+    shown = [(f"in: {key}", value) for key, value in inputs.items() if is_picture(value)][:2]
+    shown.append(("out", np.asarray(result)))
+    shown = [(text, image(value, leaf)) for text, value in shown if is_picture(value)]
+    if not shown or shown[-1][0] != "out":
+        return None
+    save(path, shown)
+    return path
+
+
+def is_picture(value):
+    """Whether a value is an array that can be looked at."""
+    return (isinstance(value, np.ndarray) and value.ndim >= 2 and min(value.shape[-2:]) >= 24) or (
+        isinstance(value, np.ndarray) and value.ndim == 3 and value.shape[2] == 3 and min(value.shape[:2]) >= 24)
+
+
+def _centred(value, fall, corner=False):
+    """A Gaussian over the last two axes, about the middle or the first corner."""
+    y, x = (np.arange(n) / n if corner else (np.arange(n) + 0.5) / n - 0.5 for n in value.shape[-2:])
+    return np.exp(-fall * (y[:, None] ** 2 + x**2))
+
+
+def photograph(rows, cols):
+    """Linear light of a part of NASA's portrait of Eileen Collins, (3, rows, cols), 0 .. 1."""
+    part = data.astronaut()[0:320, 40:520] / 255.0
+    return np.moveaxis(resize(part, (rows, cols), anti_aliasing=True), -1, 0) ** 2.2
+
+
+def pictured(key, value, inputs):
+    """A photograph of the shape and the kind of a stage's input; other inputs as they are."""
+    if key in SMOOTH:
+        return SMOOTH[key](value)
+    if key not in (*RAW, *ELECTRONS, *LIGHT, "codes"):
+        return value
+    if key == "codes":
+        return (255 * np.moveaxis(photograph(*value.shape[:2]), 0, -1) ** (1 / 2.2)).astype(value.dtype)
+    colors = photograph(*value.shape[-2:])
+    count = int(np.prod(value.shape[:-2], dtype=int))
+    if value.ndim == 2 or key in RAW:
+        period = np.asarray(inputs.get("cfa", [[0, 1], [1, 2]])) % 3
+        y, x = np.indices(value.shape[-2:])
+        one = np.take_along_axis(colors, period[y % len(period), x % len(period[0])][None], 0)[0]
+        planes = np.broadcast_to(one, (count, *one.shape))
+    else:
+        planes = np.stack([colors[min(3 * number // count, 2)] for number in range(count)])
+    if key in RAW:
+        scale = 1 / 959 if inputs.get("scale", 1 / 959) > 2e-4 else 1 / 65535
+        random = np.random.default_rng(1)  # shot noise, and a few defects where a stage looks for them
+        planes = random.poisson(planes * 300) / 300 / scale + float(np.max(inputs.get("black_level", 64)))
+        return planes.reshape(value.shape).clip(0, 1 / scale + 64).astype(value.dtype)
+    return (planes.reshape(value.shape) * (WELL if key in ELECTRONS else 1)).astype(value.dtype)
+
+
+def image(value, leaf):
+    """An array as a picture: three planes as colours, the first plane of others, tables of transfer as contrast."""
+    value = np.asarray(value, np.float64)
+    if value.dtype == np.float64 and value.ndim == 3 and value.shape[-1] == 3:
+        return value / max(value.max(), 1e-30)
+    while value.ndim > 3:
+        value = value[0]
+    if value.ndim == 3 and len(value) == 3 and leaf not in TABLES:
+        value = np.moveaxis(value, 0, -1)
+    elif value.ndim == 3:
+        value = value[len(value) // 2]
+    if leaf in TABLES:
+        return value
+    low, high = np.nanquantile(value, (0.002, 0.998))
+    return ((value - low) / max(high - low, 1e-30)).clip(0, 1) ** (1 / 2.2)
+
+
+def save(path, shown):
+    """Pictures side by side."""
+    import matplotlib
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(shown), figsize=(3.2 * len(shown), 2.5), squeeze=False)
+    for axis, (text, picture) in zip(axes[0], shown, strict=True):
+        axis.imshow(picture, cmap="gray", interpolation="nearest")
+        axis.set_title(f"{text}, {picture.shape[0]} x {picture.shape[1]}", fontsize=8)
+        axis.set_axis_off()
+    figure.tight_layout(pad=0.3)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)

@@ -1,0 +1,119 @@
+"""A page for each area of stages: contract, formula, figure, errors and speed of every stage."""
+
+import importlib
+import inspect
+import json
+from pathlib import Path
+
+import prose
+import stage_figures
+
+from gpusim.kernels.stage import AREAS, public_function, stage_module, stage_names
+
+ROOT = Path(__file__).parents[1]
+TITLES = {"spectral": "Light: from spectra to planes", "optics": "Optics: the lens",
+          "sensor": "Sensor: from light to digital numbers", "processor": "Image processor: from raw to colours",
+          "display": "Display: from colours to codes"}
+HEADS = {"ms_p50": "p50 ms", "gbps": "GB/s", "ratio_to_floor": "x floor", "rel_rms_error": "rms error",
+         "max_error": "max error"}
+METRICS = {"peak": "of the largest value", "local": "of each value", "exact": "absolute; 0 is bit for bit"}
+
+
+def write(folder, keep):
+    """Write the pages and their figures; `keep(path, text)` writes a text."""
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    speeds = measured()
+    for area in AREAS:
+        lines = [TITLES[area], "=" * len(TITLES[area]), ""]
+        for name in stage_names():
+            if name.startswith(f"{area}."):
+                lines += [*page(name, speeds, stage_figures.draw(name, figures)), ""]
+        keep(folder / f"stages-{area}.rst", "\n".join(lines) + "\n")
+
+
+def measured() -> list[dict]:
+    """Stored results of bench/stages.py, those of processors first."""
+    found = [json.loads(path.read_text()) for path in sorted((ROOT / "bench" / "results").glob("stages-*.json"))]
+    return sorted(found or pasted(), key=lambda result: "NVIDIA" in result["machine"]["device"])
+
+
+def pasted() -> list[dict]:
+    """The stages' tables in bench/README.md, where no result is stored that they could be made of."""
+    stored = (ROOT / "bench" / "README.md").read_text()
+    results = []
+    for text in stored.partition("<!-- stages -->")[2].partition("<!-- end of stages -->")[0].split("\n## ")[1:]:
+        lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.split("\n")
+                 if line.startswith("| ")]
+        rows = [dict(zip(lines[0], line, strict=True)) for line in lines[1:]]
+        results.append({"machine": {"device": text.partition("\n")[0]}, "device": "", "size": (1920, 1080), "rows": [
+            {"name": row["stage"], **{key: float(row[head]) for key, head in HEADS.items()}} for row in rows]})
+    return results
+
+
+def page(name, speeds, figure):
+    """Lines of a stage."""
+    module, reference = stage_module(name), importlib.import_module(f"gpusim.kernels.{name}_ref")
+    function, leaf = public_function(name), name.rpartition(".")[2]
+    yield from (f".. _{name}:", "", name, "-" * len(name), "")
+    if figure:
+        yield from (f".. image:: figures/{figure.name}", f"   :alt: {name}", "")
+    yield from prose.rst(module.__doc__)
+    yield from (".. code-block:: python", "", f"   gpusim.kernels.{name}.{leaf}{signature(function)}", "")
+    yield from prose.rst(function.__doc__, list(inspect.signature(function).parameters))
+    yield from ("**Reference** (float64): " + " ".join(prose.rst(reference.__doc__)).strip()
+                if "::" not in prose.rst(reference.__doc__) else "**Reference** (float64):", "")
+    yield from folded(f"kernels/{name.replace('.', '/')}_ref.py", source(reference, leaf))
+    yield from errors(module)
+    yield from speed(name, speeds)
+
+
+def signature(function):
+    """A function's signature, without types."""
+    found = inspect.signature(function)
+    return found.replace(parameters=[each.replace(annotation=inspect.Parameter.empty)
+                                     for each in found.parameters.values()])
+
+
+def source(reference, leaf):
+    """The reference's own text; where it is shared with the planner, that function's."""
+    function = getattr(reference, leaf)
+    own = inspect.getsource(reference)
+    return own if f"def {leaf}(" in own else inspect.getsource(function)
+
+
+def folded(summary, text):
+    """Code that opens by a click."""
+    yield from (".. raw:: html", "", f"   <details><summary>{summary}</summary>", "", ".. code-block:: python", "")
+    yield from ("   " + line for line in text.rstrip().split("\n"))
+    yield from ("", ".. raw:: html", "", "   </details>", "")
+
+
+def errors(module):
+    """How far a device may stray, and why."""
+    told = dict.fromkeys((case.tolerance, case.metric, case.why) for case in module.cases())
+    yield from ("**Asked of every device** by ``gpusim verify``:", "")
+    for tolerance, metric, why in sorted(told, key=lambda one: -one[0])[:3]:
+        yield f"* {tolerance:.2g} ({METRICS[metric]}): {prose.escaped(why)}"
+    yield ""
+
+
+def speed(name, speeds):
+    """What was measured, device by device."""
+    rows = [(result, row) for result in speeds for row in result["rows"] if row["name"] == name and "failed" not in row]
+    if not rows:
+        return
+    yield from (".. list-table::", "   :header-rows: 1", "",
+                *cells("device", "frame", "ms", "GB/s", "times the floor", "rms error", "largest error"))
+    for result, row in rows:
+        device = result["machine"]["device"] + (f", ``{result['device']}``" if result["device"] else "")
+        yield from cells(device, "x".join(map(str, result["size"])),
+                         f"{row['ms_p50']:.3g}", f"{row['gbps']:.3g}",
+                         "" if row["ratio_to_floor"] is None else f"{row['ratio_to_floor']:.2g}",
+                         f"{row['rel_rms_error']:.1e}", f"{row['max_error']:.1e}")
+    yield ""
+
+
+def cells(*texts):
+    """A row of a list-table."""
+    return [f"   {'*' if number == 0 else ' '} - {text}" for number, text in enumerate(texts)]
