@@ -5,10 +5,12 @@ command line from its parsers, the public names from gpusim's own table.
 """
 
 import argparse
+import ast
 import dataclasses
 import importlib
 import inspect
 import numbers
+import re
 import textwrap
 from pathlib import Path
 
@@ -30,10 +32,13 @@ CLASSES = {"optics": (Optics, Wavefront), "sensor": (Sensor,), "noise": (Noise,)
 UNITS = {"mm": "mm", "um": "µm", "nm": "nm", "m": "m", "ms": "ms", "us": "µs", "e": "e⁻", "dn": "DN", "c": "°C",
          "k": "K", "deg": "degree", "waves": "wave", "diopters": "1/m", "v": "V", "dn_per_e": "DN/e⁻",
          "uv_per_e": "µV/e⁻", "e_per_s": "e⁻/s", "cd_per_m2": "cd/m²"}
+INSIDE = re.compile(r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]")  # units of the classes; files have others
 CURVE = "a curve"
 CURVES = {"_curve": CURVE, "_number_or_curve": f"a number or {CURVE}", "_micrometres_or_curve": f"a number or {CURVE}"}
 # keys of a file that are not fields of their own, and what the dataclass says in units of its own
 SAID = {
+    "focal_length_mm": "Of the lens, as a thin one.",
+    "pixel_pitch_um": "Distance of the pixels' middles, along rows and columns.",
     "defocus_diopters": "The same defocus in dioptres; one of the two.",
     "defocus_um": "How far behind the image the sensor is; a curve for axial colour.",
     "diffuser_um": "Standard deviation of a Gaussian diffuser, at the sensor.",
@@ -75,9 +80,20 @@ def write(folder):
     """Write all pages into a folder, which may hold those of a build before."""
     folder = Path(folder)
     folder.mkdir(exist_ok=True)
-    for name, lines in (("keys.rst", keys()), ("cli.rst", commands()), ("api.rst", names())):
+    for name, lines in (("keys.rst", keys()), ("tasks.rst", tasks()), ("cli.rst", commands()), ("api.rst", names())):
         keep(folder / name, "\n".join(lines) + "\n")
     stage_pages.write(folder, keep)
+
+
+def tasks():
+    """Scripts of docs/tasks, as they are."""
+    yield from title("Four tasks")
+    yield from ("What many come for, in at most 15 lines each. They are tested as they stand here.", "")
+    for path in sorted(Path(__file__).parent.glob("tasks/*.py")):
+        text = path.read_text()
+        heading = (ast.get_docstring(ast.parse(text)) or path.stem.replace("_", " ").capitalize()).split("\n")[0]
+        yield from title(heading.rstrip("."), "-")
+        yield from (".. code-block:: python", "", textwrap.indent(text, "   "), "")
 
 
 def keep(path, text):
@@ -170,6 +186,7 @@ def meaning(key, field, said):
     if key in SAID:
         return prose.escaped(SAID[key]).replace("[Files](../files.md)", ":doc:`../files`")
     text, together = said[field]
+    text = INSIDE.sub("", text) if unit(key) else text
     others = ", ".join(f"``{name}``" for name in together if name != field)
     return prose.escaped(text[0].upper() + text[1:]) + (f" (told together with {others})" if others else "")
 

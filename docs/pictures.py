@@ -17,6 +17,7 @@ from skimage import data
 import gpusim as gs
 from gpusim.cli import main as gpusim
 from gpusim.measure.ideal import ideal
+from gpusim.truth import seen
 
 HERE = Path(__file__).parent / "pictures"
 SIZE = (480, 320)
@@ -94,15 +95,16 @@ def accuracy():
     from matplotlib import pyplot as plt
 
     scene, camera = gs.chart("deadleaves", size=(240, 160)), gs.open_camera("phone")
-    truth = gs.Simulator(camera)(scene).mean.astype(float)
-    noise = np.sqrt(truth + camera.sensor.read_sigma**2)
     figure, axes = plt.subplots(1, 4, figsize=(13, 2.9))
     axes[0].imshow(gs.Simulator(camera)(scene, seed=1).rgb)
     axes[0].set_title("the picture", fontsize=9)
     for axis, asked in zip(axes[1:], ("1e-2", "video", "metrology"), strict=True):
-        frame = gs.Simulator(camera, tolerance=asked)(scene, verify=True)
+        simulate = gs.Simulator(camera, tolerance=asked)
+        frame = simulate(scene, verify=True)
         told, true = frame.report.account.total, frame.report.error
-        image = axis.imshow(np.log10(np.abs(frame.mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma")
+        mean, truth = seen(simulate, scene, simulate.expose(scene))
+        noise = np.sqrt(truth + camera.sensor.read_sigma**2)
+        image = axis.imshow(np.log10(np.abs(mean - truth) / noise + 1e-9), vmin=-4, vmax=0, cmap="magma")
         axis.set_title(f"--tolerance {asked}\nrms: predicted {told.rms:.1e}, true {true.rms:.1e}\n"
                        f"99.9 %: {told.p999_sigma:.2g} sigma, true {true.p999_sigma:.2g}", fontsize=8)
     for axis in axes:

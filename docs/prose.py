@@ -57,16 +57,15 @@ def _cut(text):
 
 
 def escaped(text: str) -> str:
-    """Text in which nothing but quoted code has a meaning to Sphinx."""
+    """Text in which nothing but quoted code has a meaning to Sphinx; a plural's s stands beside code."""
     parts = QUOTED.split(text)
     for number, part in enumerate(parts):
-        parts[number] = f"``{part}``" if number % 2 else re.sub(r"([\\*_|])", r"\\\1", part)
-    return _spaced("".join(parts))
-
-
-def _spaced(text):
-    """Code has to stand apart from letters beside it: a plural's s is set off without a gap."""
-    return re.sub(r"(``[^`]+``)(?=\w)", r"\1\\ ", text)
+        if number % 2:
+            parts[number] = f"``{part}``"
+        else:
+            plain = re.sub(r"([\\*_|])", r"\\\1", part)
+            parts[number] = f"\\ {plain}" if number and plain[:1].isalnum() else plain
+    return "".join(parts)
 
 
 def what_is_said(docstring: str, names) -> dict[str, tuple]:

@@ -12,8 +12,8 @@ from gpusim.kernels.stage import AREAS, public_function, stage_module, stage_nam
 
 ROOT = Path(__file__).parents[1]
 TITLES = {"spectral": "Light: from spectra to planes", "optics": "Optics: the lens",
-          "sensor": "Sensor: from light to digital numbers", "processor": "Image processor: from raw to colours",
-          "display": "Display: from colours to codes"}
+          "sensor": "Sensor: from light to digital numbers", "processor": "Image processor: from raw to colors",
+          "display": "Display: from colors to codes"}
 HEADS = {"ms_p50": "p50 ms", "gbps": "GB/s", "ratio_to_floor": "x floor", "rel_rms_error": "rms error",
          "max_error": "max error"}
 METRICS = {"peak": "of the largest value", "local": "of each value", "exact": "absolute; 0 is bit for bit"}
