@@ -155,7 +155,7 @@ def good_texts(reader):
     if reader == "calibration":
         return CALIBRATIONS, []
     root = next(folder for folder in Path(__file__).parents if (folder / "README.md").is_file())
-    blocks = re.findall(r"```toml\n(.*?)```", (root / "README.md").read_text(), re.S)
+    blocks = re.findall(r"```toml\n(.*?)```", (root / "docs" / "cameras.md").read_text(), re.S)
     return ([(root / f"gpusim/data/cameras/{name}.toml").read_bytes() for name in camera_names()]
             + [block.encode() for block in blocks], "\n".join(blocks).split("\n"))
 
@@ -257,7 +257,7 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
             try:
                 read(path)
             except GpusimError as error:
-                if reader != "camera":  # README's second block is no whole file
+                if reader != "camera":  # the documentation's second block is no whole file
                     raise AssertionError(f"the unharmed {path.name} was refused: {error}") from error
         for number in range(first, first + count):
             data = inputs.make(seed, number)

@@ -381,8 +381,8 @@ def test_facts_are_read_from_arrays_of_all_kinds():
     np.testing.assert_array_equal(Facts.of(layered(Tensor)).content.values, wanted)
 
 
-def test_the_example_of_the_readme_runs():
-    text = (Path(__file__).parents[2] / "README.md").read_text()
+def test_the_example_of_the_documentation_runs():
+    text = (Path(__file__).parents[2] / "docs" / "python.md").read_text()
     names = {"gs": gs}
     exec(text.partition("## Arrays of others")[2].partition("```python\n")[2].partition("```")[0], names)
     assert names["picture"].shape == names["codes"].shape == (480, 640, 3)

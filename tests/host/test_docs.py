@@ -1,0 +1,102 @@
+"""The README, and the pages that are made of the code, say what the code does."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gpusim import cli
+from gpusim.domain.camera_keys import SECTIONS
+from gpusim.kernels.stage import stage_names
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+PAGES = [ROOT / "README.md", ROOT / "bench" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BUILT = ("generated/", "gallery/")  # pages that are made when the documentation is built
+
+
+@pytest.fixture(autouse=True)
+def docs_are_found(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+
+
+def commands(text):
+    """Command lines in blocks and in quotes, continued lines joined."""
+    blocks = re.findall(r"```\n(.*?)```", text, re.S)
+    lines = [line for block in blocks for line in block.split("\n")] + re.findall(r"`(gpusim [^`]+)`", text)
+    known = re.compile(r"(pip .* && )?(gpusim (simulate|plan|video|pairs) .*)")
+    return [found[2] for line in lines if (found := known.fullmatch(line))]
+
+
+def test_gallery_has_the_commands_that_made_it():
+    pictures = (ROOT / "docs" / "pictures.py").read_text()
+    shown = README.partition("<!-- gallery -->")[2].partition("<!-- end of gallery -->")[0]
+    found = commands(shown)
+    assert len(found) == 6 and shown.count("docs/pictures/") == 6
+    for command in found:
+        assert f'"{command}"' in pictures
+        assert (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_are_understood(page):
+    parser = cli._parser()
+    for command in commands(page.read_text()):
+        if "--camera" in command:  # whole, not an option that a text speaks of
+            assert parser.parse_args(shlex.split(command)[1:]).run
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.name}")
+def test_links_lead_somewhere(page):
+    from links import broken
+
+    wrong = [line for line in broken([page]) if not any(f": {folder}" in line for folder in BUILT)]
+    assert not wrong
+
+
+def test_broken_links_are_found(tmp_path):
+    from links import broken
+
+    (tmp_path / "a.md").write_text("# Head\n\n[good](#head) [bad](#no) [gone](b.md) [far](https://example.org)\n")
+    assert [line.rpartition(": ")[2] for line in broken([tmp_path / "a.md"])] == ["no such place", "no such file"]
+
+
+def test_every_key_and_stage_has_a_place():
+    code = ("import generate, stage_pages; print('\\n'.join(generate.keys())); "
+            "print('\\n'.join(generate.commands())); print('\\n'.join(generate.names()))")
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "docs", capture_output=True, text=True, check=True)
+    for keys in SECTIONS.values():
+        for key in keys:
+            assert f"``{key}``" in said.stdout, key
+    import gpusim
+
+    for name in gpusim.__all__:
+        assert f"gpusim.{name}\n" in said.stdout, name
+    tables = (ROOT / "docs" / "index.md").read_text()
+    for area in {name.partition(".")[0] for name in stage_names()}:
+        assert f"generated/stages-{area}" in tables
+
+
+def test_defaults_are_in_the_units_of_the_file():
+    """Against values known from the domain: 550 nm, 25 degrees, no aberration."""
+    from generate import keys
+
+    text = "\n".join(keys())
+    for key, cells in (("reference_nm", ("nm", "``550``")), ("temperature_c", ("°C", "``25``")),
+                       ("exposure_time_ms", ("ms", '``"auto"``')), ("pixel_pitch_um", ("µm",))):
+        row = text.partition(f"* - ``{key}``\n")[2].partition("* - ")[0]
+        assert all(f"- {cell}\n" in row for cell in cells), (key, row)
+
+
+def test_docstrings_become_lists():
+    from prose import rst
+
+    said = rst("Blur it.\n\nplanes: of light, shape (n,). mix_: `weights`\n    of each. Returns shape (m,). Raises "
+               "BadData.\n\n"
+               "    e = mc^2\n\nDone.", ["planes", "mix_"])
+    assert [line for line in said if line] == [
+        "Blur it.", "* ``planes``: of light, shape (n,).", "* ``mix_``: ``weights`` of each.",
+        "Returns shape (m,). Raises BadData.", "::", "    e = mc^2", "Done."]
