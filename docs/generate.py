@@ -234,13 +234,17 @@ def names():
 
 
 def place(value):
-    """The module of a public name below gpusim."""
-    return getattr(value, "__module__", type(value).__module__).removeprefix("gpusim.")
+    """The module of a public name, or of one that is a module itself, below gpusim."""
+    name = value.__name__ if inspect.ismodule(value) else getattr(value, "__module__", type(value).__module__)
+    return name.removeprefix("gpusim.")
 
 
 def directive(name, module="gpusim"):
-    """Autodoc's directive of a name."""
+    """Autodoc's directive of a name; of a module those of all its names."""
     value = getattr(importlib.import_module(module), name)
+    if inspect.ismodule(value):
+        within = [line for other in value.__all__ for line in directive(other, value.__name__)]
+        return [f".. automodule:: {module}.{name}", "", *within]
     if isinstance(value, type):
         return [f".. autoclass:: {module}.{name}", "   :members:" if not issubclass(value, Exception) else "", ""]
     return [f".. autofunction:: {module}.{name}" if callable(value) else f".. autodata:: {module}.{name}", ""]
