@@ -240,9 +240,9 @@ def place(value):
 
 
 def directive(name, module="gpusim"):
-    """Autodoc's directive of a name; of a module those of all its names."""
+    """Autodoc's directive of a name; of a module, unless it can be called, those of all its names."""
     value = getattr(importlib.import_module(module), name)
-    if inspect.ismodule(value):
+    if inspect.ismodule(value) and not callable(value):
         within = [line for other in value.__all__ for line in directive(other, value.__name__)]
         return [f".. automodule:: {module}.{name}", "", *within]
     if isinstance(value, type):
