@@ -240,7 +240,7 @@ def _libraw(name, raw):
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "frame.dng"
-        write_dng(path, raw, "RGGB", 0, WHITE, np.eye(3), np.ones(3))
+        write_dng(path, raw, ("RG", "GB"), 0, WHITE, {"D65": (np.eye(3), None)}, np.ones(3))
         picture = rawpy.imread(str(path))
         picture.unpack()
     develop = partial(picture.postprocess, demosaic_algorithm=getattr(rawpy.DemosaicAlgorithm, name), output_bps=16,

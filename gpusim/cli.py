@@ -45,7 +45,7 @@ def _simulate(arguments):
     simulator = Simulator(camera, device=arguments.device, tolerance=arguments.tolerance,
                           guaranteed=arguments.guaranteed, strict=arguments.strict)
     for path in arguments.out:
-        check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output))
+        check_format(path, dataclasses.replace(camera, sensor=simulator.readout.output), arguments.bits)
     frames = simulator.frames(scene, arguments.frames, seed=arguments.seed, verify=arguments.verify)
     if arguments.frames > 1:
         from tqdm import tqdm
@@ -54,7 +54,7 @@ def _simulate(arguments):
     reports = []
     for number, frame in enumerate(frames):
         for output in outputs:
-            frame.save(output(number))
+            frame.save(output(number), bits=arguments.bits)
         reports.append(frame.report)
         if arguments.frames == 1:
             print(frame.report)
@@ -291,7 +291,10 @@ def _parser():
     simulate.add_argument("--frames", type=whole(1, 10**6), default=1, metavar="N",
                           help="draw N noisy frames into numbered files")
     simulate.add_argument("-o", "--out", action="append", default=[], metavar="OUT",
-                          help=".png display, .exr linear RGB, .dng raw, .npz electrons and DN; may be repeated")
+                          help=".png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be "
+                          "repeated")
+    simulate.add_argument("--bits", type=int, choices=(8, 16, 32), help="of .png (8, 16), .tif (8, 16, 32: linear "
+                          "floats) and .exr (16, 32); default: 8, 16 and 32")
     simulate.add_argument("--report", metavar="FILE.json", help="what was modelled, times and errors")
     simulate.add_argument("--verify", action="store_true", help="also run the float64 reference: the true error")
     simulate.set_defaults(run=_simulate)

@@ -8,7 +8,10 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.errors import OutOfRange
 from gpusim.io.frames import write_frame
+from gpusim.planner.camera_profile import color_profile
+from gpusim.planner.encoding import decoding
 from gpusim.planner.plan import Plan
 from gpusim.planner.rendering import Rendering
 from gpusim.report import Report
@@ -94,7 +97,8 @@ class Frame:
         white that of the picture where the camera estimates it.
     mean: mean electrons without noise, float32 (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
-    blur, shading: as of the exposure.
+    blur, shading: as of the exposure. averaged: digital numbers whose mean a raw value is; None: it is of several
+        exposures, whose noise is no matter of one gain.
     linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
         rows, cols). rgb: display codes, uint8 (rows, cols, 3).
     """
@@ -109,6 +113,7 @@ class Frame:
     report: _Made[Report] = _Made()
     blur: float = 0.0
     shading: np.ndarray | None = None
+    averaged: int | None = 1
 
     def complete(self) -> "Frame":
         """The same, all of it made; nothing of it is on the device any more."""
@@ -119,6 +124,26 @@ class Frame:
     def __getstate__(self):
         return dict(vars(self.complete()))
 
-    def save(self, path) -> None:
-        """Write .png, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""
-        write_frame(path, self)
+    def codes(self, bits: int = 8) -> np.ndarray:
+        """Display codes of 8 or 16 bits, behind the tone curve: uint8 (`rgb` itself) or uint16, (rows, cols, 3).
+
+        Raises OutOfRange.
+        """
+        if bits == 8:
+            return self.rgb
+        if bits != 16:
+            raise OutOfRange("bits of display codes", bits, "8 or 16")
+        most = 2**16 - 1
+        decode = decoding(self.camera.display, self.camera.processor.tone)
+        edges = decode((np.arange(1, most + 1) - 0.5) / most)  # the least values of codes 1, 2, ..., as with 8 bits
+        linear = np.nan_to_num(np.moveaxis(self.linear, 0, -1), nan=-np.inf)
+        return np.searchsorted(edges, linear, side="right").astype(np.uint16)
+
+    @property
+    def color_profile(self) -> dict:
+        """Matrices of the camera's colours for raw converters: see `gpusim.planner.camera_profile.color_profile`."""
+        return color_profile(self.camera)
+
+    def save(self, path, *, bits: int | None = None) -> None:
+        """Write .png, .tif, .exr, .dng or .npz: see `gpusim.io.frames.write_frame`."""
+        write_frame(path, self, bits)

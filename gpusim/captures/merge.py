@@ -260,7 +260,8 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         first["processor.defects"] = Developer(before, device).models()["processor.defects"] + ", frame by frame"
     report = _reported(frame.report, first | made | developer.models(), {
         name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}})
-    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, shading)
+    return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, shading,
+                 averaged=None)
 
 
 def _reported(report, processing, ms):

@@ -60,6 +60,15 @@ class RawNoise:
         fixed = 0.0 if temporal else self.offsets + self.line_offsets
         return self._averaged(self.photons * electrons + self.read + self.lines + fixed)
 
+    def profile(self, full: float) -> tuple[float, float]:
+        """(S, O) of the variance S x + O of x = electrons / full, as a DNG's NoiseProfile has it.
+
+        full: electrons, of light and dark current, at x = 1 [e-]. It tells what differs from frame to frame alone. The
+        variance a + b electrons [e-^2], over full^2, is a / full^2 + (b / full) x: O and S.
+        """
+        dark, one = self.variance(temporal=True), self.variance(1.0, temporal=True)
+        return (one - dark) / full, dark / full**2
+
     def difference(self, electrons: float, light: float) -> float:
         """Mean square of the difference of two neighbours in even light, as many in a row as in a column [e-^2].
 

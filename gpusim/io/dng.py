@@ -1,5 +1,6 @@
 """Raw files: Adobe's DNG."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -7,57 +8,123 @@ import numpy as np
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.io.atomic import atomic_path
 
-# EXIF codes of the lights for which a colour matrix may hold, and that of any other
-LIGHTS, OTHER_LIGHT = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}, 255
+LIGHTS = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}  # EXIF codes, LightSource
+FILTERS = "RGBCMYW"  # by their codes in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
+PLANES = (1, 3, 4)  # that colour matrices, and the programs that read them, know
+LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
 
-def write_dng(path, raw, cfa_pattern, black_level, white_level, color_matrix=None, as_shot_neutral=None,
-              camera_name="gpusim", light="D65"):
+def check_dng(cfa, channels):
+    """Raise OutOfRange unless a DNG can tell these filters. cfa: one period, () without a mosaic. channels: letters."""
+    if len(channels) not in PLANES:
+        raise OutOfRange("channels of a DNG", f"{len(channels)} ({', '.join(channels)})",
+                         "1, 3 or 4: colour matrices have no other; .npz holds any")
+    strange = [letter for letter in channels if letter not in FILTERS] if cfa else []
+    if strange:
+        raise OutOfRange("filters of a DNG", ", ".join(strange), f"{', '.join(FILTERS)}: DNG has no other names; .npz "
+                         "holds any")
+
+
+def write_dng(path, raw, cfa, black_level, white_level, matrices=None, as_shot_neutral=None, *, channels="RGB",
+              noise=None, camera_name="gpusim"):
     """Write sensor values as a DNG (version 1.4, one uncompressed strip), exactly as they are.
 
-    raw: uint16 [DN], shape (rows, cols). cfa_pattern: colours of the 2 x 2 tile row by row, of R, G and B, such as
-    "RGGB"; "" for a monochrome sensor. black_level, white_level: [DN].
-    color_matrix: XYZ in `light` to camera, shape (3, 3); as_shot_neutral: camera values of white, shape (3,), largest
-    about 1. Both are needed with a CFA and not used without. light: name of the illuminant whose white the matrix takes
-    to `as_shot_neutral`, the processor's target; CalibrationIlluminant1 is "other" where EXIF has no code for it.
-    LibRaw, and so many programs, opens no picture smaller than 22 x 22.
+    raw: uint16 or float32 [DN], shape (rows, cols); of stacked pixels (C, rows, cols).
+    cfa: one period of the mosaic as rows of letters of R, G, B, C, M, Y and W, such as ("RG", "GB"); () without.
+    black_level, white_level: [DN]; black_level may be one for each place of the mosaic's period.
+    channels: the letters in the order in which the following have them; all four are not used of one channel.
+    matrices: {light: (color, forward)} of one or two lights, names in LIGHTS: XYZ to camera, shape (C, 3), and camera
+    values over those of white to XYZ in D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape
+    (C,), largest about 1.
+    noise: (S, O), the variance of x = (raw - black) / (white - black) is S x + O; None: is not told.
+    LibRaw, and so many programs, opens no picture smaller than 22 x 22, and no mosaics but of 2 x 2, and X-Trans.
     Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG) Specification", 1.4.0.0.
     """
     import tifffile
 
     raw = np.asarray(raw)
-    if raw.dtype != np.uint16 or raw.ndim != 2 or raw.size == 0:
-        raise BadData(f"{path}: a DNG needs uint16 of shape (rows, cols), got {raw.dtype} {raw.shape}")
-    if not 0 <= black_level < white_level <= 65535:
-        raise OutOfRange("black_level, white_level", f"{black_level}, {white_level}", "0 <= black < white <= 65535 DN")
+    if raw.dtype not in (np.uint16, np.float32) or raw.ndim not in ((2,) if cfa else (2, 3)) or raw.size == 0:
+        raise BadData(f"{path}: a DNG needs uint16 or float32 of shape (rows, cols), got {raw.dtype} {raw.shape}")
+    planes = len(channels) if cfa or raw.ndim == 3 else 1
+    check_dng(cfa, channels if planes > 1 else "Y")
+    if raw.ndim == 3:
+        raw = np.ascontiguousarray(np.moveaxis(raw, 0, -1))
+    samples = raw.shape[2] if raw.ndim == 3 else 1
+    if samples not in (1, planes):
+        raise BadData(f"{path}: {samples} layers of raw values for {planes} channels")
+    oldest = (1, 4, 0, 0) if raw.dtype == np.float32 else (1, 1, 0, 0)
     tags = [
+        (274, "H", 1, 1, False),  # Orientation: as it is
         (50706, "B", 4, (1, 4, 0, 0), False),  # DNGVersion
-        (50707, "B", 4, (1, 1, 0, 0), False),  # DNGBackwardVersion
+        (50707, "B", 4, oldest, False),  # DNGBackwardVersion
         (50708, "s", 0, camera_name, False),  # UniqueCameraModel
-        (50714, "I", 1, int(black_level), False),  # BlackLevel
-        (50717, "I", 1, int(white_level), False),  # WhiteLevel
+        *_levels(cfa, samples, black_level, white_level),
     ]
-    if cfa_pattern:
-        if len(cfa_pattern) != 4 or not set(cfa_pattern) <= set("RGB"):
-            raise OutOfRange("cfa_pattern of a DNG", repr(cfa_pattern), 'four letters of R, G and B, such as "RGGB"')
-        color_matrix = _finite(path, "color_matrix", color_matrix, (3, 3))
-        as_shot_neutral = _finite(path, "as_shot_neutral", as_shot_neutral, (3,))
-        if not (as_shot_neutral > 0).all():
-            raise OutOfRange("as_shot_neutral", as_shot_neutral.tolist(), "> 0")
-        tags += [
-            (33421, "H", 2, (2, 2), False),  # CFARepeatPatternDim
-            (33422, "B", 4, tuple("RGB".index(letter) for letter in cfa_pattern), False),  # CFAPattern
-            (50721, "2i", 9, _fractions(color_matrix.ravel()), False),  # ColorMatrix1
-            (50778, "H", 1, LIGHTS.get(light.upper(), OTHER_LIGHT), False),  # CalibrationIlluminant1
-            (50728, "2I", 3, _fractions(as_shot_neutral), False),  # AsShotNeutral
-        ]
+    if cfa:
+        tags += _mosaic(path, cfa, channels)
+    if planes > 1:
+        tags += _colors(path, planes, matrices or {}, as_shot_neutral)
+    if noise is not None:
+        if not (len(noise) == 2 and noise[0] > 0 and noise[1] >= 0 and np.isfinite(noise).all()):
+            raise OutOfRange("noise of a DNG", noise, "S > 0 and O >= 0")
+        tags.append((51041, "d", 2, tuple(map(float, noise)), False))  # NoiseProfile, one for all planes
     with atomic_path(path) as temporary:
-        tifffile.imwrite(temporary, raw, photometric="cfa" if cfa_pattern else "minisblack", rowsperstrip=len(raw),
-                         metadata=None, software="gpusim", extratags=tags)
-        if not cfa_pattern:
+        tifffile.imwrite(temporary, raw, photometric="cfa" if cfa else "minisblack", rowsperstrip=len(raw),
+                         metadata=None, software="gpusim", planarconfig="contig" if samples > 1 else None,
+                         extratags=tags)
+        if not cfa:
             with tifffile.TiffFile(temporary, mode="r+b") as file:  # tifffile itself writes it for three samples only
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
+
+
+def _levels(cfa, samples, black_level, white_level):
+    """Tags of the black and white levels; black as a rational number where it is not whole."""
+    black = np.asarray(black_level, np.float64)
+    period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
+    if black.shape not in ((), period):
+        raise BadData(f"black_level of a DNG: shape {black.shape}, wanted one number or {period}, the mosaic's period")
+    if not (0 <= black.min() and black.max() < white_level <= 2**32 - 1):
+        raise OutOfRange("black_level, white_level", f"{black.min():g} .. {black.max():g}, {white_level}",
+                         "0 <= black < white <= 4294967295 DN")
+    rows, cols = black.shape or (1, 1)
+    values = np.repeat(black.ravel(), samples)
+    whole = (values == np.rint(values)).all()
+    return [
+        (50713, "H", 2, (rows, cols), False),  # BlackLevelRepeatDim
+        (50714, "I", len(values), tuple(map(int, values)), False) if whole else
+        (50714, "2I", len(values), _fractions(values), False),  # BlackLevel
+        (50717, "I", samples, (int(white_level),) * samples, False),  # WhiteLevel
+    ]
+
+
+def _mosaic(path, cfa, channels):
+    if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
+        raise BadData(f"{path}: cfa {cfa} wanted equally long rows of the letters {', '.join(channels)}")
+    return [
+        (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim
+        (33422, "B", len("".join(cfa)), bytes(FILTERS.index(letter) for letter in "".join(cfa)), False),  # CFAPattern
+        (50710, "B", len(channels), bytes(FILTERS.index(letter) for letter in channels), False),  # CFAPlaneColor
+        (50711, "H", 1, 1, False),  # CFALayout: rows and columns
+    ]
+
+
+def _colors(path, planes, matrices, as_shot_neutral):
+    """Tags by which a raw converter balances white and finds colours."""
+    if not 1 <= len(matrices) <= 2 or not set(matrices) <= set(LIGHTS):
+        raise OutOfRange("matrices of a DNG", ", ".join(matrices) or "none", f"one or two of {', '.join(LIGHTS)}")
+    neutral = _finite(path, "as_shot_neutral", as_shot_neutral, (planes,))
+    if not (neutral > 0).all():
+        raise OutOfRange("as_shot_neutral", neutral.tolist(), "> 0")
+    tags = [(50728, "2I", planes, _fractions(neutral), False)]  # AsShotNeutral
+    for place, (light, (color, forward)) in enumerate(matrices.items()):
+        color = _finite(path, f"color matrix of {light}", color, (planes, 3))
+        tags += [(50721 + place, "2i", 3 * planes, _fractions(color.ravel()), False),  # ColorMatrix1, ColorMatrix2
+                 (50778 + place, "H", 1, LIGHTS[light], False)]  # CalibrationIlluminant1, CalibrationIlluminant2
+        if forward is not None:
+            forward = _finite(path, f"forward matrix of {light}", forward, (3, planes))
+            tags.append((50964 + place, "2i", 3 * planes, _fractions(forward.ravel()), False))  # ForwardMatrix1, 2
+    return tags
 
 
 def _finite(path, key, values, shape):
@@ -68,6 +135,6 @@ def _finite(path, key, values, shape):
 
 
 def _fractions(values):
-    """Numerators and denominators in turn, as TIFF stores rational numbers; to 1e-9 or better."""
-    fractions = [Fraction(float(value)).limit_denominator(100_000) for value in values]
+    """Numerators and denominators in turn, as TIFF stores rational numbers: whole ones of 31 bits; to 1e-9 of 1."""
+    fractions = [Fraction(float(value)).limit_denominator(LARGEST // math.ceil(abs(value) + 1)) for value in values]
     return tuple(number for fraction in fractions for number in (fraction.numerator, fraction.denominator))

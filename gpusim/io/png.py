@@ -83,8 +83,9 @@ def _chunks(path, data):
         place += length + 12
 
 
-def png(header: Header, packed: bytes) -> bytes:
-    """A PNG of these compressed lines."""
+def png(header: Header, packed: bytes, chunks: dict | None = None) -> bytes:
+    """A PNG of these compressed lines; chunks: {kind: body} of those before them."""
     start = struct.pack(">IIBBBBB", header.cols, header.rows, header.bits, header.colour, 0, 0, header.interlaced)
+    parts = [(b"IHDR", start), *(chunks or {}).items(), (b"IDAT", packed), (b"IEND", b"")]
     return SIGNATURE + b"".join(struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-                                for kind, body in ((b"IHDR", start), (b"IDAT", packed), (b"IEND", b"")))
+                                for kind, body in parts)

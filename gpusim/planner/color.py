@@ -110,6 +110,20 @@ def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | s
     return ColorTransform(display.rgb_from_xyz @ adapt @ to_xyz, to_xyz, seen.camera_white)
 
 
+def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | str) -> np.ndarray:
+    """Matrix (C, 3) from the XYZ of surfaces in `light` to the camera's responses, white (Y = 1) to white (largest 1).
+
+    Of three channels the inverse of the white-preserving `color_matrix` with the light itself as target; of more the
+    least squares of the responses that keep white. Arguments as there. Raises BadData, UnknownName.
+    """
+    nodes, surfaces = _surfaces(reflectances)
+    photons = _photons(light)
+    seen = _training(nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons)))
+    if len(seen.camera) == 3:
+        return np.linalg.inv(_white_preserving(_determined(seen)))
+    return _white_preserving(_Training(seen.xyz, seen.camera, seen.xyz_white, seen.camera_white))
+
+
 def _photons(light):
     return photons_from_energy(illuminant(light)) if isinstance(light, str) else light
 

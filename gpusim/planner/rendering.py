@@ -24,15 +24,14 @@ class Rendering:
 
     display_from_camera: to linear display RGB, white = 1, shape (3, C). ceiling: camera values are clipped to it, so
     that blown-out highlights stay neutral, shape (C,). neutral: camera values of white, the largest 1, shape (C,).
-    camera_from_xyz: XYZ to values scaled like `neutral`, shape (3, 3); None without a colour matrix. model: in words.
-    white: the camera value of display white in its strongest channel. saturation: the largest there is. diffuser: the
-    linear display value of a perfect white diffuser in the scene's light, 1 if normalised, or its light is not known.
+    model: in words. white: the camera value of display white in its strongest channel. saturation: the largest there
+    is. diffuser: the linear display value of a perfect white diffuser in the scene's light, 1 if normalised, or its
+    light is not known.
     """
 
     display_from_camera: np.ndarray
     ceiling: np.ndarray
     neutral: np.ndarray
-    camera_from_xyz: np.ndarray | None
     model: str
     white: float
     saturation: float
@@ -45,18 +44,11 @@ class _Colors:
 
     matrix: np.ndarray
     neutral: np.ndarray
-    camera_from_xyz: np.ndarray | None
     model: str
 
-    @classmethod
-    def of(cls, matrix, neutral, to_xyz, model):
-        # the inverse of a square matrix; more channels than three have none, and no DNG either
-        is_square = to_xyz is not None and to_xyz.shape == (3, 3)
-        return cls(matrix, neutral, np.linalg.inv(to_xyz) if is_square else None, model)
-
     def at(self, white, saturation, diffuser):
-        return Rendering(self.matrix / white, self.neutral * saturation, self.neutral, self.camera_from_xyz, self.model,
-                         white, saturation, diffuser)
+        return Rendering(self.matrix / white, self.neutral * saturation, self.neutral, self.model, white, saturation,
+                         diffuser)
 
 
 def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
@@ -112,24 +104,24 @@ def _colors(plan, camera, keep):
         neutral = xyz(illuminant(processor.target))
         neutral = neutral / neutral[1]
         matrix = camera.display.rgb_from_xyz @ adaptation(neutral, camera.display.xyz_from_rgb.sum(axis=1))
-        return _Colors.of(matrix, neutral, None, f"XYZ in {processor.target} to the display")
+        return _Colors(matrix, neutral, f"XYZ in {processor.target} to the display")
     if processor.color != "none":
         key = (camera.optics.transmission, sensor.qe, letters, light, processor.training, processor.color,
                processor.target, camera.display)
         found = keep("colour matrix", key, lambda: color_matrix(
             efficiency(camera, letters), light, processor.training, method=processor.color,
             target_light=processor.target, display=camera.display, channels=letters))
-        matrix, neutral, to_xyz = found.matrix, found.white, found.xyz
+        matrix, neutral = found.matrix, found.white
         model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
     else:
         neutral = np.ones(len(letters))
         if known and rates is not None:
             neutral = rates / rates.max()
-        (matrix, model), to_xyz = _channels_shown(letters, neutral), None
+        matrix, model = _channels_shown(letters, neutral)
     if len(neutral) > 1:
         model += (f", white balance for {light.name or 'the scene light'}" if known else
                   f", as if the light were {processor.target}")
-    return _Colors.of(matrix, neutral, to_xyz, model)
+    return _Colors(matrix, neutral, model)
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
@@ -155,10 +147,10 @@ def _balanced(camera, white, words, transforms):
     processor = camera.processor
     if processor.color == "none":
         matrix, model = _channels_shown(planes_of(camera), white)
-        return _Colors.of(matrix, white, None, f"{model}, {words}")
+        return _Colors(matrix, white, f"{model}, {words}")
     made = transforms().at(white)
     model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
-    return _Colors.of(made.matrix, made.white, made.xyz, model)
+    return _Colors(made.matrix, made.white, model)
 
 
 def transforms_by(camera: Camera) -> tuple:

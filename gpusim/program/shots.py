@@ -129,7 +129,7 @@ class Shots:
                        Later(lambda: shot.timed(self.mean_of_pixels)),
                        Later(lambda: exposure.layered(shot.copied(shot.raw))),
                        Later(lambda: shot.copied(shot.developed[0])), Later(lambda: shot.copied(shot.developed[1])),
-                       Later(report), exposure.blur, shading)
+                       Later(report), exposure.blur, shading, self.simulator.readout.averaged)
         return wanted.complete() if exposure.is_rewritten else wanted
 
     def mean_of_pixels(self) -> np.ndarray:

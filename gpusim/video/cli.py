@@ -24,7 +24,7 @@ def add_command(commands):
                                  "files or an encoded video; goes on where it was interrupted")
     add_asked(parser, several=True)
     parser.add_argument("-o", "--out", required=True, metavar="OUT", help=".mp4 or .mkv, or numbered files: .png, "
-                        ".exr, .dng, .npz (a.png gives a_0000.png ...); with --lerobot a folder")
+                        ".tif, .exr, .dng, .npz (a.png gives a_0000.png ...); with --lerobot a folder")
     parser.add_argument("--lerobot", metavar="TASK", help="add an episode of this task, such as 'pick up the cube', to "
                         "the LeRobot data set (version 3.0) in the folder -o, or begin one")
     add_moving(parser)

@@ -164,5 +164,5 @@ def test_pictures_say_what_display_they_are_for(tmp_path):
         np.testing.assert_allclose(found, np.ravel((*display.primaries, display.white)), rtol=1e-7)
     assert b"cICP" + bytes([12, 13, 0, 1]) in chunks["p3"]
     assert b"gAMA" + (55556).to_bytes(4, "big") in chunks["gamma"] and b"cICP" not in chunks["gamma"]
-    assert b"gAMA" not in chunks["srgb"] and b"cHRM" not in chunks["srgb"]
+    assert b"sRGB" in chunks["srgb"] and b"sRGB" not in chunks["p3"]
     assert b"cHRM" + b"".join(x.to_bytes(4, "big") for x in (31270, 32900, 68000, 32000)) in chunks["p3"]

@@ -639,9 +639,9 @@ def test_png_holds_what_was_written(tmp_path):
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 5, 3)), np.zeros((3, 4, 5), np.uint8), np.zeros((0, 5, 3), np.uint8),
-                                   np.zeros(3, np.uint8)])
+                                   np.zeros(3, np.uint8), np.zeros((4, 5, 3), np.int16)])
 def test_png_refusals(tmp_path, image):
-    with fails(BadData, tmp_path / "a.png", "uint8 of shape (rows, cols, 3)", str(image.shape)):
+    with fails(BadData, tmp_path / "a.png", "uint8 or uint16 of shape (rows, cols, 3)", str(image.shape)):
         write_png(tmp_path / "a.png", image)
     assert list(tmp_path.iterdir()) == []
 
@@ -656,7 +656,7 @@ def test_dng_is_read_exactly_by_libraw(tmp_path, pattern, shape):
     import rawpy
 
     raw = RANDOM.integers(0, 4096, shape).astype(np.uint16)
-    write_dng(tmp_path / "a.dng", raw, pattern, 64, 4095, MATRIX, NEUTRAL, "Test camera")
+    write_dng(tmp_path / "a.dng", raw, (pattern[:2], pattern[2:]), 64, 4095, {"D65": (MATRIX, None)}, NEUTRAL)
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         np.testing.assert_array_equal(file.raw_image_visible, raw)
         letters = np.array(list(file.color_desc.decode()))[file.raw_pattern]
@@ -676,7 +676,7 @@ def test_dng_monochrome(tmp_path, shape):
     import rawpy
 
     raw = RANDOM.integers(0, 65536, shape).astype(np.uint16)
-    write_dng(tmp_path / "a.dng", raw, "", 0, 65535)
+    write_dng(tmp_path / "a.dng", raw, (), 0, 65535)
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
         np.testing.assert_array_equal(file.raw_image_visible, raw)
         assert file.num_colors == 1
@@ -685,23 +685,30 @@ def test_dng_monochrome(tmp_path, shape):
 def test_dng_of_one_pixel_holds_it(tmp_path):
     import tifffile
 
-    write_dng(tmp_path / "a.dng", np.array([[77]], np.uint16), "GRBG", 0, 100, MATRIX, NEUTRAL)
+    write_dng(tmp_path / "a.dng", np.array([[77]], np.uint16), ("GR", "BG"), 0, 100, {"A": (MATRIX, None)}, NEUTRAL)
     with tifffile.TiffFile(tmp_path / "a.dng") as file:
         assert file.pages[0].asarray() == 77 and file.pages[0].tags["DNGVersion"].value == b"\x01\x04\x00\x00"
 
 
 @pytest.mark.parametrize("changes, error, part", [
     ({"raw": np.zeros((4, 4))}, BadData, "uint16"), ({"raw": np.zeros((0, 4), np.uint16)}, BadData, "(0, 4)"),
-    ({"cfa_pattern": "RGBW"}, OutOfRange, "'RGBW'"), ({"cfa_pattern": "RGB"}, OutOfRange, "'RGB'"),
-    ({"black_level": 4095}, OutOfRange, "black < white"), ({"white_level": 65536}, OutOfRange, "65535"),
-    ({"color_matrix": np.eye(2)}, BadData, "color_matrix"), ({"color_matrix": None}, BadData, "color_matrix"),
-    ({"color_matrix": np.eye(3) * np.nan}, BadData, "color_matrix"),
+    ({"cfa": ("RG", "BW")}, BadData, "letters R, G, B"), ({"cfa": ("RG", "B")}, BadData, "equally long"),
+    ({"cfa": ("RG", "NB"), "channels": "RGNB"}, OutOfRange, "filters of a DNG = N: allowed is R, G, B, C, M, Y, W"),
+    ({"cfa": ("RC", "CC"), "channels": "RC"}, OutOfRange, "channels of a DNG = 2 (R, C): allowed is 1, 3 or 4"),
+    ({"raw": np.zeros((4, 4, 4), np.uint16), "cfa": ()}, BadData, "4 layers of raw values for 3 channels"),
+    ({"black_level": 4095}, OutOfRange, "black < white"), ({"black_level": [64, 65]}, BadData, "(2, 2)"),
+    ({"black_level": -1}, OutOfRange, "black < white"),
+    ({"matrices": {"D65": (np.eye(2), None)}}, BadData, "color matrix of D65"),
+    ({"matrices": {"D65": (MATRIX, np.eye(2))}}, BadData, "forward matrix of D65"),
+    ({"matrices": None}, OutOfRange, "one or two of A, B"), ({"matrices": {"FL2": (MATRIX, None)}}, OutOfRange, "FL2"),
+    ({"matrices": {"A": (MATRIX * np.nan, None)}}, BadData, "color matrix of A must be finite"),
+    ({"noise": (0.0, 1.0)}, OutOfRange, "S > 0"), ({"noise": (1e-3, -1.0)}, OutOfRange, "O >= 0"),
     ({"as_shot_neutral": [1, 0, 1]}, OutOfRange, "as_shot_neutral"),
     ({"as_shot_neutral": [1, 1]}, BadData, "as_shot_neutral"),
 ])
 def test_dng_refusals(tmp_path, changes, error, part):
-    arguments = {"raw": np.zeros((4, 4), np.uint16), "cfa_pattern": "RGGB", "black_level": 64, "white_level": 4095,
-                 "color_matrix": MATRIX, "as_shot_neutral": NEUTRAL} | changes
+    arguments = {"raw": np.zeros((4, 4), np.uint16), "cfa": ("RG", "GB"), "black_level": 64, "white_level": 4095,
+                 "matrices": {"D65": (MATRIX, None)}, "as_shot_neutral": NEUTRAL} | changes
     with fails(error, part):
         write_dng(tmp_path / "a.dng", **arguments)
     assert list(tmp_path.iterdir()) == []
@@ -738,7 +745,7 @@ def test_atomic_path_refusals(tmp_path):
     lambda path: write_spectral_exr(path, WAVES, np.ones((3, 2, 2))),
     lambda path: write_rgb_exr(path, np.ones((3, 2, 2))),
     lambda path: write_png(path, np.zeros((2, 2), np.uint8)),
-    lambda path: write_dng(path, np.zeros((2, 2), np.uint16), "", 0, 1),
+    lambda path: write_dng(path, np.zeros((2, 2), np.uint16), (), 0, 1),
 ], ids=["npz", "spectral-exr", "rgb-exr", "png", "dng"])
 def test_every_writer_refuses_a_missing_folder(tmp_path, write):
     with fails(GpusimError, "does not exist"):
