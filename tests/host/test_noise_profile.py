@@ -72,7 +72,7 @@ def test_a_profile_that_exiftool_wrote(tmp_path):
     if shutil.which("exiftool") is None:
         pytest.skip("exiftool is not installed: apt install libimage-exiftool-perl")
     path = tmp_path / "a.dng"
-    write_dng(path, np.zeros((32, 32), np.uint16), "RGGB", 64, 1023, np.eye(3), (1, 1, 1))
+    write_dng(path, np.zeros((32, 32), np.uint16), ("RG", "GB"), 64, 1023, {"D65": (np.eye(3), None)}, (1, 1, 1))
     with refused(path, "no NoiseProfile", error=BadFile):
         gs.read_noise_profile(path)
     command = ["exiftool", "-q", "-overwrite_original", "-n", "-IFD0:NoiseProfile=1.5e-4 2.5e-7", path]
