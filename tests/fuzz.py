@@ -16,6 +16,7 @@ import tempfile
 import time
 import warnings
 import zlib
+from contextlib import contextmanager
 from pathlib import Path
 
 import mutations
@@ -29,6 +30,7 @@ from gpusim.data.noise_profile import read_noise_profile
 from gpusim.data.psf import read_psf
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.learned import FilterTable
+from gpusim.domain.memory import require_memory
 from gpusim.io.exr import write_rgb_exr, write_spectral_exr
 from gpusim.io.scenes import open_scene
 from gpusim.l3.layout import layout
@@ -43,9 +45,11 @@ READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibratio
 MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
           "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
           "planes": picture_mutations.tiff, "profile": picture_mutations.tiff}  # others see Inputs.make
+PEAK = Path("/proc/self/clear_refs")
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
 LARGEST = 256 * 2**20  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
+UNACCOUNTED = 16 * 2**20  # [byte] that one input may take beside twice what its reader asked for: what libraries load
 LONGEST_MESSAGE = 500
 
 
@@ -246,12 +250,37 @@ def flaw(error) -> str | None:
     return None
 
 
+@contextmanager
+def estimates():
+    """Yield a list to which goes what readers ask `require_memory` for [byte]."""
+    asked = []
+
+    def require(what, needed):
+        asked.append(needed)
+        require_memory(what, needed)
+
+    users = [module for name, module in sys.modules.items()
+             if name.startswith("gpusim") and vars(module).get("require_memory") is require_memory]
+    for module in users:
+        module.require_memory = require
+    try:
+        yield asked
+    finally:
+        for module in users:
+            module.require_memory = require_memory
+
+
 def fuzz(reader, seed, first, count, keep=None) -> dict:
-    """Read `count` damaged files; returns a row of counts, with all that is wrong named by its number."""
+    """Read `count` damaged files; returns a row of counts, with all that is wrong named by its number.
+
+    An input is wrong that ends in no result and no GpusimError, or takes too long, or more than twice the memory that
+    its reader estimated.
+    """
     row = {"reader": reader, "seed": seed, "mutated": 0, "accepted": 0, "refused": 0, "wrong": 0, "examples": [],
-           "slowest_s": 0.0, "slowest": None}
-    with tempfile.TemporaryDirectory() as folder:
+           "slowest_s": 0.0, "slowest": None, "unaccounted_mib": 0.0}
+    with tempfile.TemporaryDirectory() as folder, estimates() as asked:
         inputs, (path, read) = Inputs(reader, Path(folder)), reading(reader, Path(folder))
+        peak = 0
         for data in inputs.good:
             path.write_bytes(data)
             try:
@@ -265,7 +294,9 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
             if keep:
                 (Path(keep) / f"{reader}-{seed}-{number}{path.suffix}").write_bytes(data)
             faulthandler.dump_traceback_later(20 * LONGEST, exit=True)
-            began, problem = time.perf_counter(), None
+            asked.clear()
+            PEAK.write_text("5")  # counts from here
+            held, began, problem = memory("VmRSS"), time.perf_counter(), None
             try:
                 read(path)
                 row["accepted"] += 1
@@ -279,10 +310,15 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
                 row |= {"slowest_s": round(took, 3), "slowest": number}
             if took > LONGEST:
                 problem = problem or f"took {took:.1f} s"
+            taken = memory("VmHWM") - held
+            peak = max(peak, held + taken)
+            row["unaccounted_mib"] = max(row["unaccounted_mib"], round((taken - 2 * sum(asked)) / 2**20, 1))
+            if taken > 2 * sum(asked) + UNACCOUNTED:
+                problem = problem or f"took {taken / 2**20:.0f} MiB, asked for {sum(asked) / 2**20:.1f}"
             if problem:
                 row["wrong"] += 1
                 row["examples"] = [*row["examples"], f"{number}: {problem}"][:30]
-    return row | {"peak_mib": peak_mib()}
+    return row | {"peak_mib": round(peak / 2**20)}
 
 
 def limit_memory():
@@ -290,14 +326,13 @@ def limit_memory():
     import resource
 
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (size + ROOM, size + ROOM))
-    Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+    resource.setrlimit(resource.RLIMIT_AS, (size + ROOM, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def peak_mib():
-    """Largest resident size since `limit_memory` [MiB]."""
+def memory(key):
+    """VmRSS, the resident size of this process, or VmHWM, its peak since PEAK was written to [byte]."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return round(int(status["VmHWM"].split()[0]) / 1024)
+    return int(status[key].split()[0]) * 1024
 
 
 def in_a_process(reader, seed, count) -> dict:

@@ -15,11 +15,13 @@ import pytest
 from picture_mutations import png_of
 from refusals import SMALL, WAVES, archive, refused, takes
 
+import gpusim as gs
 from gpusim.data.cameras import open_camera
 from gpusim.data.learned import read_table
 from gpusim.data.psf import read_psf
 from gpusim.domain import memory
 from gpusim.domain.errors import BadFile, DoesNotFit, UnknownName
+from gpusim.io.exr import write_rgb_exr
 from gpusim.io.scenes import open_scene
 
 # ---- every reader on damaged files
@@ -37,9 +39,47 @@ def test_damaged_files_are_refused(reader):
 @pytest.mark.parametrize("seed", fuzz.SEEDS)
 @pytest.mark.parametrize("reader", fuzz.READERS)
 def test_many_damaged_files_are_refused(reader, seed):
-    """180,000 files, in a process with little memory; LONGEST seconds and LARGEST bytes at most for any of them."""
+    """180,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
     row = fuzz.in_a_process(reader, seed, 5000)
     assert row["mutated"] == 5000 and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
+
+
+def large(folder, name):
+    """A whole file of 750,000 to 3,000,000 pixels, and options of `open_scene` for it."""
+    import cv2
+    import tifffile
+
+    random, path = np.random.default_rng(4), folder / name
+    codes = random.integers(0, 65536, (1500, 2000, 3), np.uint16)
+    waves, planes = np.linspace(400, 700, 31), random.random((31, 750, 1000), np.float32)
+    cube = gs.Scene(gs.Cube(waves, planes), gs.illuminant("D65"))
+    if name in ("8.png", "8.jpg"):
+        cv2.imwrite(str(path), (codes >> 8).astype(np.uint8))
+    elif name == "16.png":
+        cv2.imwrite(str(path), codes)
+    elif name == "16.tif":
+        tifffile.imwrite(path, codes, photometric="rgb", compression="zlib")
+    elif name == "planes.tif":
+        tifffile.imwrite(path, planes, photometric="minisblack")
+    elif name == "rgb.exr":
+        write_rgb_exr(path, planes[:3])
+    else:
+        gs.save_scene(cube, path, half=name == "half.exr")
+    return path, {"wavelengths": waves} if name == "planes.tif" else {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["8.png", "16.png", "8.jpg", "16.tif", "planes.tif", "rgb.exr", "cube.exr", "half.exr",
+                                  "cube.npz"])
+def test_whole_files_take_the_memory_that_was_estimated(name, tmp_path):
+    """Or less: what is estimated to fit does fit."""
+    path, options = large(tmp_path, name)
+    with fuzz.estimates() as asked:
+        fuzz.PEAK.write_text("5")
+        held = fuzz.memory("VmRSS")
+        scene = gs.open_scene(path, **options)
+        taken = fuzz.memory("VmHWM") - held
+    assert scene.content.shape and taken < sum(asked) + fuzz.UNACCOUNTED
 
 
 # ---- what is no file, or none that can be read
