@@ -10,24 +10,18 @@ from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
-from gpusim.domain.content import Cube, Picture
+from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
-from gpusim.domain.scene import Scene, checked_scene, unit_light
-from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK, Spectrum, energy_from_photons
-from gpusim.io.depth import axial, check_depth
-from gpusim.io.exr import read_exr
-from gpusim.io.files import named
-from gpusim.io.npz import read_npz, write_npz
-from gpusim.io.photo import lift, read_photo
-from gpusim.io.scene_exr import scene_parts, write_scene_exr
-from gpusim.io.tiff import SUFFIXES as TIFF
-from gpusim.io.tiff import read_stack
+from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.io.depth import check_depth
+from gpusim.io.npz import write_npz
+from gpusim.io.readers import CHARTS_TAKE, SUFFIXES, read_scene, taken
+from gpusim.io.scene_exr import write_scene_exr
 
-SUFFIXES = (".exr", ".npz", ".png", ".jpg", ".jpeg", *TIFF)
-KINDS = ("reflectance", "radiance")
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
 
 
@@ -52,27 +46,16 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     """
     path = Path(name_or_path)
     check_depth(depth, fov)
-    if depth == "ray" and path.suffix.lower() != ".exr":
-        raise OutOfRange("depth", '"ray"', "for .exr files only")
-    if bands and path.suffix.lower() != ".exr":
-        raise OutOfRange("bands", sorted(bands), "none: bands are named in .exr files only")
-    if wavelengths is not None and path.suffix.lower() not in TIFF:
-        raise OutOfRange("wavelengths", "given", f"for {', '.join(TIFF)} only; other files say theirs")
-    if kind is not None and wavelengths is None:
-        raise OutOfRange("kind", kind, "with wavelengths only")
+    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind,
+             "ray": fov if depth == "ray" else None, "no_depth": depth == "none" or None}
+    given = {name: value for name, value in given.items() if value is not None}
     if str(name_or_path) in CHARTS:
         scene = chart(str(name_or_path), light=light or LIGHT, luminance=LUMINANCE if luminance is None else luminance,
                       samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
-                      **({"size": size} if size else {}))
+                      **taken(name_or_path, CHARTS_TAKE, given))
     elif path.suffix.lower() in SUFFIXES:
-        if size:
-            raise OutOfRange("size", f"{size[0]} x {size[1]}", f"for charts only; {path} has its own size")
         white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
-        if wavelengths is not None:
-            scene = _of_stack(path, white, wavelengths, kind or "reflectance")
-        else:
-            scene = _read(path, white, bands, depth, fov)
-        scene = relit(path, scene, light, luminance)
+        scene = relit(path, read_scene(path, white, given), light, luminance)
     else:
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
@@ -122,53 +105,6 @@ def picture(codes, *, light=LIGHT, luminance=LUMINANCE, curve=None, name="pictur
 @functools.lru_cache(maxsize=16)
 def _white(light, luminance):
     return white_radiance(illuminant(light), luminance)
-
-
-def _read(path, white, bands, depth, fov):
-    """Return the scene of a file; `white` is the radiance of white where the file does not know its light."""
-    if path.suffix.lower() == ".npz":
-        scene = read_npz(path, white)
-        return dataclasses.replace(scene, depth=None) if depth == "none" else scene
-    if path.suffix.lower() == ".exr":
-        return _of_exr(path, white, bands, depth, fov)
-    content = read_photo(path)
-    with named(path):
-        return Scene(content, white, name=path.stem)
-
-
-def _of_stack(path, white, wavelengths, kind):
-    if kind not in KINDS:
-        raise UnknownName("kind of planes", str(kind), KINDS)
-    try:
-        wavelengths = np.asarray(wavelengths, np.float64)
-    except (TypeError, ValueError):
-        wavelengths = np.empty((0, 0))
-    if wavelengths.ndim != 1 or len(wavelengths) < 2 or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
-            wavelengths[-1] < np.inf):
-        raise OutOfRange("wavelengths", wavelengths.tolist(), "2 or more [nm], positive and strictly ascending")
-    values = read_stack(path, len(wavelengths))
-    illuminated = white
-    if kind == "radiance":
-        values *= (wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED))[:, None, None].astype(np.float32)
-        illuminated = unit_light(wavelengths)
-    with named(path):
-        return Scene(Cube(wavelengths, values), illuminated, name=path.stem)
-
-
-def _of_exr(path, white, bands, along, fov):
-    held = read_exr(path, bands, depth=along != "none")
-    if along == "ray" and held.depth is None:
-        raise BadFile(path, 'no channel of depth, which is asked for by depth = "ray"')
-    content = lift(held.values) if held.kind == "rgb" else Cube(held.wavelengths, held.values)
-    parts, notes = {"name": path.stem, "illuminant": white} | scene_parts(path), held.notes
-    if held.kind == "radiance":
-        parts["illuminant"] = unit_light(held.wavelengths)
-    if held.depth is not None:
-        parts["depth"] = axial(path, held.depth_channel, held.depth, along, fov)
-        how = "along each pixel's ray" if along == "ray" else "along the optical axis"
-        notes = (*notes, f"depth: channel {held.depth_channel!r}, taken as metres {how}")
-    with named(path):
-        return Scene(content, **parts, notes=notes)
 
 
 def relit(path, scene: Scene, light: str | None, luminance: float | None) -> Scene:
