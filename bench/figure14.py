@@ -111,9 +111,9 @@ def measures(shown, wanted):
     import colour
 
     def lab(rgb):
-        return colour.XYZ_to_Lab(np.moveaxis(rgb, 0, -1) @ TO_XYZ.T, [0.3127, 0.3290])
+        return colour.XYZ_to_Lab(rgb @ TO_XYZ.T, [0.3127, 0.3290])
 
-    shown, wanted = (np.clip(image[:, BORDER:-BORDER, BORDER:-BORDER], 0, 1) for image in (shown, wanted))
+    shown, wanted = (np.clip(image[BORDER:-BORDER, BORDER:-BORDER], 0, 1) for image in (shown, wanted))
     codes = [colour.cctf_encoding(image, function="sRGB") for image in (shown, wanted)]
     return (-10 * np.log10(np.mean((codes[0] - codes[1]) ** 2)),
             float(colour.delta_E(lab(shown), lab(wanted), method="CIE 2000").mean()))
@@ -122,7 +122,7 @@ def measures(shown, wanted):
 def grey_snr(simulator, white, seed):
     """Mean over standard deviation of the luminance of a grey card [dB], white at this luminance [cd m-2]."""
     card = chart("flat", size=SIZE, luminance=white, reflectance=GREY)
-    luminance = np.tensordot(TO_XYZ[1], simulator(card, seed=seed).linear[:, BORDER:-BORDER, BORDER:-BORDER], 1)
+    luminance = simulator(card, seed=seed).linear[BORDER:-BORDER, BORDER:-BORDER] @ TO_XYZ[1]
     return 20 * np.log10(luminance.mean() / luminance.std())
 
 
@@ -144,7 +144,7 @@ def main():
         for label, settings in (("learned", {"demosaic": "learned", "table": table}), ("interpolation, matrix", {})):
             used = camera(name, cfa, **settings)
             simulator = Simulator(used, device=device)
-            wanted = np.tensordot(used.display.rgb_from_xyz, wanted_colors(scene), 1)
+            wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ used.display.rgb_from_xyz.T
             for mean in LUMINANCES:
                 light = dataclasses.replace(scene, illuminant=scene.illuminant.scaled(mean / own))
                 frame = simulator(light, seed=arguments.seed)

@@ -48,7 +48,7 @@ def picture(defocus, device="auto"):
 
 def luminance(frame):
     """Of the linear display picture, white 1, shape (rows, cols)."""
-    return np.tensordot(frame.camera.display.xyz_from_rgb[1], frame.linear.astype(np.float64), 1)
+    return frame.linear.astype(np.float64) @ frame.camera.display.xyz_from_rgb[1]
 
 
 def defocused_otf(frequency, wavelength, f_number, defocus):

@@ -78,7 +78,7 @@ def main():
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
     constant = tutorial(frame, arguments.count, np.random.default_rng(1))
     left.plot(*moments(constant), ".", ms=3, label="tutorial: constant sigma")
-    left.plot(*moments(codes[..., 1]), ".", ms=3, label="gpusim, machine-vision")
+    left.plot(*moments(codes[:, 1]), ".", ms=3, label="gpusim, machine-vision")
     left.set(xlabel="mean [8-bit code]", ylabel="variance [code^2]", yscale="log")
     mean, variance = moments(raw[:, :, 1:-1])
     right.plot(mean, variance, ".", ms=3, label="gpusim raw")

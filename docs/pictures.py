@@ -71,8 +71,7 @@ def wide(scene):
 
     frame = gs.Simulator(gs.open_camera("phone"), tolerance="video")(scene, seed=1)
     display, raw = gs.open_display("srgb"), mosaic(frame, 1)
-    linear = np.einsum("pc,cyx->yxp", display.rgb_from_xyz, ideal(scene))
-    seen = display.encode(linear.clip(0, 1))
+    seen = display.encode((ideal(scene) @ display.rgb_from_xyz.T).clip(0, 1))
     figure, axes = plt.subplots(1, 3, figsize=(12, 2.95))
     texts = ("scene: light at 31 wavelengths", "raw: electrons, noise, 10 bits", "picture: sRGB")
     part = np.s_[70:102, 200:248]

@@ -21,11 +21,13 @@ from gpusim.simulator import Simulator
 SHAPES = 4  # of batches whose programs are kept
 GREY = 0.18  # reflectance of the scene that plans are made for
 LIBRARIES = ("torch", "cupy")  # whose arrays are given back where they were given
+PICTURES = ("linear", "xyz", "codes")  # outputs that are RGB or XYZ of a display
 
 
 class Batch:
     """Frames of batches of pictures by a camera on a device. Not differentiable.
 
+    Channels come first in what is given and in what is made, (B, C, rows, cols), as networks take them.
     output: a name of `gpusim.program.outputs.OUTPUTS`, such as "raw", "linear" or "codes". wavelengths: of the
     pictures' channels [nm], shape (L,); None: linear sRGB (3 channels) or grey (1). light: name for `illuminant` in
     which the pictures are reflectances, white 1; None: of spectral ones, whose values are radiance
@@ -50,10 +52,11 @@ class Batch:
         self._batches: OrderedDict = OrderedDict()
 
     def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None):
-        """Frames of pictures (B, C, rows, cols), floats, not negative: shape (B, ...), a new array.
+        """Frames of pictures (B, C, rows, cols), floats, not negative: (B, rows, cols) or (B, C, rows, cols).
 
-        It is torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's. first: number of
-        the first picture among all, by which, with the seed, its noise is drawn.
+        They are a new array, torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's.
+        Codes are (B, 3, rows, cols) with the channels last in memory. first: number of the first picture among all, by
+        which, with the seed, its noise is drawn.
         exposure_time [s], gain: as for `Simulator.expose`. camera: whose noise, white point, lens and other settings
         are other ones. Each of the three may be one for every picture, too. Automatic exposure meters each picture.
         Raises as `Simulator.frames` does, and BadData for pictures of other shapes and types.
@@ -69,12 +72,16 @@ class Batch:
         settings = {"camera": camera, "exposure_time": _listed(exposure_time), "gain": _listed(gain)}
         if self.simulator.tolerance is None:
             frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
-            return _as(pictures, self.simulator.device, frames)
+            return self._given_back(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         frames = [self.simulator.batch(1, self.output)(scene, seed=seed, frame=first + item, **{
             name: given[item] for name, given in each.items()}) for item, scene in enumerate(scenes)]
-        return _as(pictures, self.simulator.device, np.concatenate([
+        return self._given_back(pictures, np.concatenate([
             np.array(self.simulator.device.numpy(one)) for one in frames]))
+
+    def _given_back(self, pictures, frames):
+        made = _as(pictures, self.simulator.device, frames)
+        return moved(made, -1, 1) if self.output == "codes" else made
 
     def _scene(self, values) -> Scene:
         content: Content
@@ -102,10 +109,21 @@ def _listed(values):
     return to_host(values, "settings").tolist() if hasattr(values, "shape") else values
 
 
+def moved(array, axis: int, to: int):
+    """An array of NumPy or of LIBRARIES with an axis in another place; a view."""
+    return _library_of(array).moveaxis(array, axis, to)
+
+
+def _library_of(array):
+    """The module of an array of LIBRARIES, NumPy for others."""
+    name = type(array).__module__.partition(".")[0]
+    return sys.modules[name] if name in LIBRARIES else np
+
+
 def _as(pictures, device, frames):
     """A copy of frames as an array of the pictures' library, on the device where it can be there."""
-    library = sys.modules.get(type(pictures).__module__.partition(".")[0])
-    if library is None or library.__name__ not in LIBRARIES:
+    library = _library_of(pictures)
+    if library is np:
         return np.array(device.numpy(frames))
     is_torch = library.__name__ == "torch"
     if not isinstance(frames, np.ndarray) and device.kind == "warp":

@@ -99,8 +99,8 @@ class Frame:
     raw: digital numbers, uint16 of the same shape [DN], or float32 without a converter.
     blur, shading: as of the exposure. averaged: digital numbers whose mean a raw value is; None: it is of several
         exposures, whose noise is no matter of one gain.
-    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32 (3,
-        rows, cols). rgb: display codes, uint8 (rows, cols, 3).
+    linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32
+        (rows, cols, 3), in memory plane by plane. rgb: display codes, uint8 (rows, cols, 3).
     """
 
     camera: Camera
@@ -136,7 +136,7 @@ class Frame:
         most = 2**16 - 1
         decode = decoding(self.camera.display, self.camera.processor.tone)
         edges = decode((np.arange(1, most + 1) - 0.5) / most)  # the least values of codes 1, 2, ..., as with 8 bits
-        linear = np.nan_to_num(np.moveaxis(self.linear, 0, -1), nan=-np.inf)
+        linear = np.nan_to_num(self.linear, nan=-np.inf)
         return np.searchsorted(edges, linear, side="right").astype(np.uint16)
 
     @property

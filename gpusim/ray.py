@@ -8,7 +8,7 @@ Each row needs its own number, by which its noise is drawn: the result does not 
 
 import numpy as np
 
-from gpusim.batches import Batch
+from gpusim.batches import PICTURES, Batch
 from gpusim.domain.errors import BadData
 
 
@@ -16,9 +16,9 @@ class Frames:
     """Rows with a picture and a number to rows with a frame, too.
 
     camera, settings: as for `gpusim.Batch`. picture, number: names of the columns: linear light (rows, cols, channels)
-    or (channels, rows, cols), as `channels_last` says, and whole numbers. frame: name of the new column. seed: of the
-    noise. exposure_time [s], gain: numbers, or names of columns that have them. Raises as Batch does, and BadData for
-    columns that are not there.
+    or (channels, rows, cols), as `channels_last` says, and whole numbers. frame: name of the new column, whose pictures
+    (codes, linear light, XYZ) have their channels there, too. seed: of the noise. exposure_time [s], gain: numbers, or
+    names of columns that have them. Raises as Batch does, and BadData for columns that are not there.
     """
 
     def __init__(self, camera, *, picture: str = "image", number: str = "number", frame: str = "frame", seed: int = 0,
@@ -39,7 +39,8 @@ class Frames:
             picture = np.moveaxis(picture, -1, 0) if self._channels_last else picture
             own = {name: value[item] for name, value in settings.items()}
             made = self._batch(np.ascontiguousarray(picture[None]), first=int(number), seed=self._seed, **own)
-            frames.append(made[0])
+            is_turned = self._channels_last and self._batch.output in PICTURES
+            frames.append(np.moveaxis(made[0], 0, -1) if is_turned else made[0])
         return rows | {self._frame: np.stack(frames)}
 
     def _column(self, rows, name):

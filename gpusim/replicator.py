@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from gpusim.batches import Batch
+from gpusim.batches import PICTURES, Batch, moved
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import described
@@ -32,6 +32,7 @@ class Views:
     def __call__(self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None) -> dict:
         """A frame of every view in `data`, by its name ("" of a single one), as `gpusim.Batch` gives it.
 
+        Pictures (codes, linear light, XYZ) are (rows, cols, 3), as the renderer's are.
         number: of this call among all. Each view draws noise of its own, by its name. Raises BadData for data without
         such frames and views without a camera.
         """
@@ -46,7 +47,8 @@ class Views:
                 raise BadData(f"rendered data: no camera for the view {name!r}; there are {', '.join(self._batches)}")
             picture = channels_first(found[name])
             own = (seed + crc32(name.encode())) % 2**64  # by its name alone: other views may come and go
-            frames[name] = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
+            made = batch(picture, first=number, seed=own, exposure_time=exposure_time)[0]
+            frames[name] = moved(made, 0, -1) if batch.output in PICTURES else made
         return frames
 
 

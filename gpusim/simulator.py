@@ -156,9 +156,9 @@ class Simulator:
         return raw
 
     def develop(self, raw, exposure: Exposure):
-        """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3) of raw values.
+        """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3), on the device.
 
-        Those of a sensor without a converter are shown from 16 bits of them.
+        Raw values of a sensor without a converter are shown from 16 bits of them.
         """
         return Shots(self, exposure).developed(raw)[:2]
 

@@ -89,7 +89,7 @@ def good_pictures(reader, folder):
         path = folder / "good.exr"
         for write in (lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9))),
                       lambda: write_spectral_exr(path, WAVES, random.random((3, 7, 9)), reflectance=True, half=True),
-                      lambda: write_rgb_exr(path, random.random((3, 7, 9))),
+                      lambda: write_rgb_exr(path, random.random((7, 9, 3))),
                       lambda: write_foreign_exr(path, random)):
             write()
             found.append(path.read_bytes())

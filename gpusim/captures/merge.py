@@ -132,13 +132,12 @@ def merge_flash(simulator: Simulator, ambient: Frame, flash: Frame, *, radius: i
     full = CLIPPED * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
     ambient_noise, flash_noise = (_display_noise(frame, simulator.readout.averaged) for frame in (ambient, flash))
     with simulator.device.timed() as ms:
-        linear = with_flash(ambient.linear, flash.linear, ambient_noise=ambient_noise, flash_noise=flash_noise,
-                            full=full if full > 0 else np.inf, radius=radius, reach=reach, device=simulator.device)
+        planes = with_flash(*(np.moveaxis(frame.linear, -1, 0) for frame in (ambient, flash)),
+                            ambient_noise=ambient_noise, flash_noise=flash_noise, full=full if full > 0 else np.inf,
+                            radius=radius, reach=reach, device=simulator.device)
     as_is = dataclasses.replace(ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf))
     developer = Developer(ambient.camera, simulator.device)
-    shown = developer.colored(simulator.device.array(linear), as_is)
-    shown = shown, developer.encoded(shown)
-    linear, rgb = (np.array(simulator.device.numpy(array)) for array in shown)
+    linear, rgb = _shown(simulator.device, developer, developer.colored(simulator.device.array(planes), as_is))
     *stages, encoding = ambient.report.stages
     by_flash = StageReport("processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0))
     report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
@@ -251,9 +250,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         once = frame.rendering
         shown_by = dataclasses.replace(once, display_from_camera=once.display_from_camera * k,
                                        ceiling=once.neutral * saturated, white=once.white / k, saturation=saturated)
-        shown = developer.colored(planes, shown_by)
-        shown = shown, developer.encoded(shown)
-    linear, rgb = (np.array(device.numpy(array)) for array in shown)
+        linear, rgb = _shown(device, developer, developer.colored(planes, shown_by))
     first = {}
     if defects != "none":
         before = dataclasses.replace(camera, processor=dataclasses.replace(processor, defects=defects))
@@ -262,6 +259,12 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
         name: ms.get(name, 0.0) + more.get(name, 0.0) for name in {**ms, **more}})
     return Frame(camera, float(exposure_time), shown_by, electrons, raw, linear, rgb, report, frame.blur, shading,
                  averaged=None)
+
+
+def _shown(device, developer, shown):
+    """A frame's `linear` and `rgb` of linear display RGB on the device."""
+    planes, codes = (np.array(device.numpy(array)) for array in (shown, developer.encoded(shown)))
+    return np.moveaxis(planes, 0, -1), codes
 
 
 def _reported(report, processing, ms):

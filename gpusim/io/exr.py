@@ -149,14 +149,14 @@ def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=Fal
 
 
 def write_rgb_exr(path, rgb, *, half=False, display=DISPLAYS["srgb"]):
-    """Write a linear picture, shape (3, rows, cols), with the chromaticities of the display that it is for.
+    """Write a linear picture, shape (rows, cols, 3), with the chromaticities of the display that it is for.
 
     Raises BadData and BadFile.
     """
     rgb = np.asarray(rgb)
-    if rgb.ndim != 3 or len(rgb) != 3 or rgb.size == 0:
-        raise BadData(f"{path}: a picture needs shape (3, rows, cols), got {rgb.shape}")
-    channels = {name: _narrowed(path, name, plane, half) for name, plane in zip("RGB", rgb, strict=True)}
+    if rgb.ndim != 3 or rgb.shape[-1] != 3 or rgb.size == 0:
+        raise BadData(f"{path}: a picture needs shape (rows, cols, 3), got {rgb.shape}")
+    channels = {name: _narrowed(path, name, rgb[..., index], half) for index, name in enumerate("RGB")}
     _write(path, channels, chromaticities=tuple(np.ravel((*display.primaries, display.white)).tolist()))
 
 

@@ -58,7 +58,7 @@ def write_frame(path, frame, bits=None):
     if suffix == ".png":
         write_png(path, frame.codes(bits), display)
     elif suffix in (".tif", ".tiff"):
-        write_tiff(path, np.moveaxis(frame.linear, 0, -1) if bits == 32 else frame.codes(bits), display)
+        write_tiff(path, frame.linear if bits == 32 else frame.codes(bits), display)
     elif suffix == ".exr":
         write_rgb_exr(path, frame.linear, half=bits == 16, display=display)
     elif suffix == ".dng":

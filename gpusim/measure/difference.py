@@ -23,7 +23,7 @@ def ciede2000(picture, reference, white=None) -> np.ndarray:
     picture, reference: each a frame (`Frame`: its linear picture with the exposure divided out, a perfect white
         diffuser as display white, clipped to what the display can show, before tone curve and 8 bits; those of the
         screen, as bright as it shows them, are `display.xyz(frame.rgb)`), a `Scene` (its `ideal` picture on the display
-        of the other's frame, nothing clipped), or XYZ, shape (3, ...), white Y about 1.
+        of the other's frame, nothing clipped), or XYZ, shape (..., 3), white Y about 1.
     white: XYZ that counts as white, shape (3,); None: the display's, sRGB's where there is no frame.
     Raises BadData. Source: CIE 142-2001, by colour-science.
     """
@@ -57,7 +57,7 @@ def samples_per_degree(pitch: float, distance: float) -> float:
 
 
 def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
-    """XYZ (3, rows, cols) as the eye's opponent channels blur them, float64; beyond its border a picture is mirrored.
+    """XYZ (rows, cols, 3) as the eye's opponent channels blur them, float64; beyond its border a picture is mirrored.
 
     Each Gaussian, of unit sum, acts by its transfer function exp(-pi^2 spread^2 f^2) on the cosine series of the
     mirrored picture, so that none is cut off; the channel's sum is scaled to keep uniform pictures as they are.
@@ -66,37 +66,36 @@ def eye_filtered(xyz, samples_per_degree: float) -> np.ndarray:
     from scipy.fft import dctn, idctn
 
     xyz = np.asarray(xyz, np.float64)
-    if xyz.ndim != 3 or len(xyz) != 3:
-        raise BadData(f"wanted XYZ of the shape (3, rows, cols), got {xyz.shape}")
+    if xyz.ndim != 3 or xyz.shape[-1] != 3:
+        raise BadData(f"wanted XYZ of the shape (rows, cols, 3), got {xyz.shape}")
     if not 0 < samples_per_degree < np.inf:
         raise OutOfRange("samples_per_degree", samples_per_degree, "0 < samples_per_degree < inf")
-    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[1:])  # [cycle/degree]
+    y, x = (np.arange(count) * samples_per_degree / (2 * count) for count in xyz.shape[:2])  # [cycle/degree]
     squared = y[:, None] ** 2 + x**2
     channels = []
-    for plane, gaussians in zip(np.tensordot(OPPONENT, xyz, 1), GAUSSIANS, strict=True):
+    for plane, gaussians in zip(np.moveaxis(xyz @ OPPONENT.T, -1, 0), GAUSSIANS, strict=True):
         transfer = sum(weight * np.exp(-((np.pi * spread) ** 2) * squared) for weight, spread in gaussians)
         channels.append(idctn(dctn(plane) * transfer / transfer[0, 0]))
-    return np.tensordot(np.linalg.inv(OPPONENT), np.stack(channels), 1)
+    return np.stack(channels, axis=-1) @ np.linalg.inv(OPPONENT).T
 
 
 def cielab(xyz, white) -> np.ndarray:
-    """CIE 1976 L*, a*, b* of XYZ, float64, shape (3, ...); white: XYZ, shape (3,). Source: CIE 15, colour-science."""
+    """CIE 1976 L*, a*, b* of XYZ, float64, shape (..., 3); white: XYZ, shape (3,). Source: CIE 15, colour-science."""
     from colour.models import XYZ_to_Lab, XYZ_to_xy
 
-    last = np.moveaxis(np.asarray(xyz, np.float64), 0, -1) / white[1]
-    return np.moveaxis(XYZ_to_Lab(last, XYZ_to_xy(white)), -1, 0)
+    return XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], XYZ_to_xy(white))
 
 
 def shown(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
-    """XYZ (3, ...) of a frame, see `ciede2000`, or XYZ as given, and those of white (3,). Raises BadData."""
+    """XYZ (..., 3) of a frame, see `ciede2000`, or XYZ as given, and those of white (3,). Raises BadData."""
     display = picture.camera.display if hasattr(picture, "camera") else DISPLAYS["srgb"]
     if hasattr(picture, "camera"):
         linear = picture.linear.astype(np.float64) / picture.rendering.diffuser
-        picture = np.tensordot(display.xyz_from_rgb, np.clip(linear, 0, 1), 1)
+        picture = np.clip(linear, 0, 1) @ display.xyz_from_rgb.T
     white = np.asarray(display.xyz_from_rgb.sum(1) if white is None else white, np.float64)
     xyz = np.asarray(picture)
-    if xyz.dtype.kind not in "uif" or xyz.ndim < 1 or len(xyz) != 3:
-        raise BadData(f"picture of shape {xyz.shape} and type {xyz.dtype}: wanted a frame, a scene or XYZ (3, ...)")
+    if xyz.dtype.kind not in "uif" or xyz.ndim < 1 or xyz.shape[-1] != 3:
+        raise BadData(f"picture of shape {xyz.shape} and type {xyz.dtype}: wanted a frame, a scene or XYZ (..., 3)")
     if not np.isfinite(xyz).all():
         raise BadData("picture: NaN or infinite values")
     if white.shape != (3,) or not (np.isfinite(white) & (white > 0)).all():
@@ -109,7 +108,7 @@ def _pair(picture, reference, white):
     pair = [picture, reference]
     frame = next((one for one in pair if hasattr(one, "camera")), None)
     display = frame.camera.display if frame is not None else DISPLAYS["srgb"]
-    shape = next((np.shape(getattr(one, "linear", one))[-2:] for one in pair if not isinstance(one, Scene)), None)
+    shape = next((np.shape(getattr(one, "linear", one))[:-1] for one in pair if not isinstance(one, Scene)), None)
     pair = [ideal(one, display, shape) if isinstance(one, Scene) else one for one in pair]
     white = display.xyz_from_rgb.sum(1) if white is None else white
     (picture, white), (reference, _) = (shown(one, white) for one in pair)
@@ -121,7 +120,7 @@ def _pair(picture, reference, white):
 def _difference(method, picture, reference, white):
     first, second = cielab(picture, white), cielab(reference, white)
     if method == "cielab":
-        return np.sqrt(((first - second) ** 2).sum(0))
+        return np.sqrt(((first - second) ** 2).sum(-1))
     from colour.difference import delta_E_CIE2000
 
-    return delta_E_CIE2000(np.moveaxis(first, 0, -1), np.moveaxis(second, 0, -1))
+    return delta_E_CIE2000(first, second)

@@ -8,10 +8,10 @@ WINDOW = 11  # of SSIM: a Gaussian of 1.5 pixels, cut off at 5
 
 
 def cpsnr(image, reference, border: int = 10, peak: float | None = None) -> float:
-    """Peak signal to noise ratio [dB] over all planes together, 10 log10(peak^2 / mean square); infinite if equal.
+    """Peak signal to noise ratio [dB] over all channels together, 10 log10(peak^2 / mean square); infinite if equal.
 
-    image, reference: shape (planes, rows, cols) or (rows, cols). border: pixels left out on each side. peak: the value
-    of white; None: 1, or the largest number of an integer type. Raises BadData, OutOfRange.
+    image, reference: shape (rows, cols, channels) or (rows, cols). border: pixels left out on each side. peak: the
+    value of white; None: 1, or the largest number of an integer type. Raises BadData, OutOfRange.
     """
     image, reference, peak = _inside(image, reference, border, peak, 1)
     error = np.mean((image - reference) ** 2)
@@ -19,7 +19,7 @@ def cpsnr(image, reference, border: int = 10, peak: float | None = None) -> floa
 
 
 def ssim(image, reference, border: int = 10, peak: float | None = None) -> float:
-    """Mean structural similarity [1] of all planes, by scikit-image with the authors' Gaussian window.
+    """Mean structural similarity [1] of all channels, by scikit-image with the authors' Gaussian window.
 
     Arguments as for `cpsnr`; 11 x 11 pixels or more inside the border. Raises BadData, OutOfRange.
     Source: Wang, Bovik, Sheikh & Simoncelli 2004, "Image quality assessment", IEEE Trans. Image Processing 13(4).
@@ -27,16 +27,16 @@ def ssim(image, reference, border: int = 10, peak: float | None = None) -> float
     image, reference, peak = _inside(image, reference, border, peak, WINDOW)
     from skimage.metrics import structural_similarity
 
-    return float(structural_similarity(image, reference, data_range=peak, channel_axis=0, gaussian_weights=True,
+    return float(structural_similarity(image, reference, data_range=peak, channel_axis=-1, gaussian_weights=True,
                                        sigma=1.5, use_sample_covariance=False))
 
 
 def _inside(image, reference, border, peak, least):
-    """Both as float64 (planes, rows, cols) without the border, and the peak."""
+    """Both as float64 (rows, cols, channels) without the border, and the peak."""
     image, reference = np.asarray(image), np.asarray(reference)
     if image.shape != reference.shape or image.ndim not in (2, 3):
-        raise BadData(f"pictures of shapes {image.shape} and {reference.shape}; wanted both (planes, rows, cols) or "
-                      "(rows, cols)")
+        raise BadData(f"pictures of shapes {image.shape} and {reference.shape}; wanted both (rows, cols, channels) "
+                      "or (rows, cols)")
     if image.dtype.kind not in "uif" or reference.dtype.kind not in "uif":
         raise BadData(f"pictures of types {image.dtype} and {reference.dtype}; wanted numbers")
     if int(border) != border or border < 0:
@@ -45,12 +45,12 @@ def _inside(image, reference, border, peak, least):
         peak = np.iinfo(reference.dtype).max if reference.dtype.kind in "ui" else 1.0
     if not 0 < peak < np.inf:
         raise OutOfRange("peak", peak, "0 < peak < inf")
-    rows, cols = (count - 2 * int(border) for count in image.shape[-2:])
+    rows, cols = (count - 2 * int(border) for count in image.shape[:2])
     if min(rows, cols) < least:
-        raise BadData(f"pictures of {image.shape[-2]} x {image.shape[-1]} pixels (planes come first): wanted {least} "
+        raise BadData(f"pictures of {image.shape[0]} x {image.shape[1]} pixels (channels come last): wanted {least} "
                       f"or more each way inside the border of {border}")
-    cut = np.s_[..., border : border + rows, border : border + cols]
-    image, reference = (one[cut].astype(np.float64).reshape(-1, rows, cols) for one in (image, reference))
+    cut = np.s_[border : border + rows, border : border + cols]
+    image, reference = (one[cut].astype(np.float64).reshape(rows, cols, -1) for one in (image, reference))
     if not (np.isfinite(image).all() and np.isfinite(reference).all()):
         raise BadData("pictures: NaN or infinite values")
     return image, reference, float(peak)

@@ -17,7 +17,7 @@ PERIOD = 8  # of the largest mosaic [pixel]: of a binned one only whole periods 
 
 def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, light: Spectrum | str | None = None,
           luminance: float | None = None) -> np.ndarray:
-    """CIE 1931 XYZ of `scene` on `display`, without lens, noise or mosaic; float64 (3, rows, cols), white Y = 1.
+    """CIE 1931 XYZ of `scene` on `display`, without lens, noise or mosaic; float64 (rows, cols, 3), white Y = 1.
 
     The XYZ of every sample's spectrum, averaged over the area of the pixel, are adapted from the white of the light to
     the display's (Bradford). Nothing is clipped to the display's gamut, and a lens's distortion is not followed.
@@ -50,7 +50,8 @@ def ideal(scene: Scene, display: Display = DISPLAYS["srgb"], shape=None, *, ligh
     else:
         scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
         weights, white = weights / scale, white / white[1]
-    return _binned(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape)
+    return np.moveaxis(_binned(pixel_sums(scene, adaptation(white, display.xyz_from_rgb.sum(1)) @ weights), shape),
+                       0, -1)
 
 
 def pixel_sums(scene: Scene, weights) -> np.ndarray:

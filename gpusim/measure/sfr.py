@@ -17,7 +17,7 @@ INSIDE = 0.75  # part of the step that must lie in the inner half of what is rea
 
 @dataclass(frozen=True, eq=False)
 class EdgeResponse:
-    """What `sfr` found, F frequencies and, for several planes, one row to each of the C planes.
+    """What `sfr` found, F frequencies and, for several channels, one row to each of the C channels.
 
     frequencies: along the edge's normal [cycle/pixel], shape (F,). response: SFR [1], 1 at frequency 0, shape (F,) or
     (C, F). error: estimate of the response's error up to 0.5 cycle/pixel because the picture ends, shape () or (C,).
@@ -35,8 +35,8 @@ class EdgeResponse:
 def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> EdgeResponse:
     """Spatial frequency response of a picture that holds one straight, slanted edge and nothing else.
 
-    image: linear values, shape (rows, cols), or (C, rows, cols) to measure each plane by itself, any unit; the edge may
-        stand or lie and be light on either side. pitch: distance of the pixels [m], for frequencies in cycle/mm.
+    image: linear values, shape (rows, cols), or (rows, cols, C) to measure each channel by itself, any unit; the edge
+        may stand or lie and be light on either side. pitch: distance of the pixels [m], for frequencies in cycle/mm.
     limits: lowest and highest value that can occur; a picture that reaches one is clipped and refused. Integers have
         those of their type unless given. order: of the polynomial fitted to the edge, 1 or 2, if the lens distorts.
     Returns EdgeResponse. Raises BadData (not finite, too small, clipped, no edge, an edge along the pixels, at 45
@@ -54,13 +54,13 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     is what half the reach changes: as much as a tail that falls as 1 / reach is still wrong by, and three times the
     window's effect on a blur that fits (1 / reach^2); noise adds to it.
     """
-    values, planes = _checked(image, limits)
+    planes = _checked(image, limits)
     if pitch is not None and not 0 < pitch < np.inf:
         raise OutOfRange("pitch", f"{pitch} m", "0 < pitch < inf")
     if order not in (1, 2):
         raise OutOfRange("order", order, "1 or 2")
-    found = [_response(plane, order) for plane in planes]
-    response, angle, error = (np.array(part).reshape((*values.shape[:-2], *np.shape(part[0])))
+    found = [_response(plane, order) for plane in planes.reshape(-1, *planes.shape[-2:])]
+    response, angle, error = (np.array(part).reshape((*planes.shape[:-2], *np.shape(part[0])))
                               for part in zip(*found, strict=True))
     per_mm = None if pitch is None else FREQUENCIES / (pitch * 1e3)
     return EdgeResponse(FREQUENCIES.copy(), response, angle, per_mm, error)
@@ -69,8 +69,8 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
 def mtf50(measured: EdgeResponse, level: float = 0.5):
     """Frequency at which the response first falls to `level`: [cycle/mm] if the pitch was given, else [cycle/pixel].
 
-    Linear between frequencies. Returns a float or, of several planes, shape (C,). Raises OutOfRange, and BadData where
-    it never falls so far.
+    Linear between frequencies. Returns a float or, of several channels, shape (C,). Raises OutOfRange, and BadData
+    where it never falls so far.
     """
     if not 0 < level < 1:
         raise OutOfRange("level", level, "0 < level < 1")
@@ -87,11 +87,11 @@ def mtf50(measured: EdgeResponse, level: float = 0.5):
 
 
 def _checked(image, limits):
-    """The picture as float64 and its planes; refuses what cannot hold an edge."""
+    """The picture's channels as float64 planes, (C, rows, cols) or (rows, cols); refuses what cannot hold an edge."""
     image = np.asarray(image)
-    if image.ndim not in (2, 3) or image.dtype.kind not in "uif" or min(image.shape[-2:]) < LEAST:
+    if image.ndim not in (2, 3) or image.dtype.kind not in "uif" or min(image.shape[:2]) < LEAST:
         raise BadData(f"sfr: picture of shape {image.shape} and type {image.dtype}; wanted numbers (rows, cols) or "
-                      f"(planes, rows, cols), {LEAST} x {LEAST} pixels or more")
+                      f"(rows, cols, channels), {LEAST} x {LEAST} pixels or more")
     if limits is None and image.dtype.kind in "ui":
         limits = np.iinfo(image.dtype).min, np.iinfo(image.dtype).max
     values = image.astype(np.float64)
@@ -103,7 +103,7 @@ def _checked(image, limits):
         if clipped:
             raise BadData(f"sfr: {clipped} of {values.size} values are clipped, at or beyond {low:g} or {high:g}; "
                           "expose so that both sides of the edge lie between")
-    return values, values.reshape(-1, *values.shape[-2:])
+    return values if values.ndim == 2 else np.moveaxis(values, -1, 0)
 
 
 def _response(plane, order):

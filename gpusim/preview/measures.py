@@ -45,10 +45,10 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
 def edge(linear, part: tuple[slice, slice]) -> dict:
     """Spatial frequency response of a part of a picture, or why it has none.
 
-    linear: display RGB (3, rows, cols). Returns lists of frequencies [cycle/pixel] and responses up to 1 cycle/pixel,
+    linear: display RGB (rows, cols, 3). Returns lists of frequencies [cycle/pixel] and responses up to 1 cycle/pixel,
     `mtf50` [cycle/pixel] and the edge's angle [degree]; or `why` alone.
     """
-    values = np.tensordot(LUMINANCE, np.asarray(linear, np.float64)[(slice(None), *part)], 1)
+    values = np.asarray(linear, np.float64)[part] @ LUMINANCE
     try:
         found = sfr(values)
         half = float(mtf50(found))
@@ -69,13 +69,13 @@ class Checker:
         self._parts = [tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts]
         self._true = self._means(ideal(scene))
 
-    def _means(self, planes):
-        return np.stack([planes[(slice(None), *part)].mean(axis=(1, 2)) for part in self._parts], axis=1)
+    def _means(self, picture):
+        return np.stack([picture[part].mean(axis=(0, 1)) for part in self._parts])
 
     def difference(self, linear, diffuser: float, display) -> float:
-        """Mean CIEDE2000 of the patches. linear: display RGB (3, rows, cols), of a white diffuser `diffuser`."""
+        """Mean CIEDE2000 of the patches. linear: display RGB (rows, cols, 3), of a white diffuser `diffuser`."""
         shown = np.clip(self._means(np.asarray(linear, np.float64)) / diffuser, 0, 1)
-        return float(ciede2000(np.tensordot(display.xyz_from_rgb, shown, 1), self._true).mean())
+        return float(ciede2000(shown @ display.xyz_from_rgb.T, self._true).mean())
 
 
 def checker_of(scene: Scene) -> Checker | None:

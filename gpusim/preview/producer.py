@@ -112,10 +112,10 @@ class Producer:
             return found
         shots = program.shots
         linear, rendering = shots.linear(shots.raw(state.seed, number))
-        linear = self._on_host(linear)
+        linear = np.moveaxis(self._on_host(linear), 0, -1)
         if part is not None:
             found["edge"] = edge(linear, part)
-        if checker is not None and linear.shape[1:] == scene.shape:
+        if checker is not None and linear.shape[:2] == scene.shape:
             found["difference"] = checker.difference(linear, rendering.diffuser, exposure.camera.display)
         return found
 

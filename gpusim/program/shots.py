@@ -128,8 +128,9 @@ class Shots:
         wanted = Frame(exposure.camera, exposure.exposure_time, Later(lambda: shot.developed[2]),
                        Later(lambda: shot.timed(self.mean_of_pixels)),
                        Later(lambda: exposure.layered(shot.copied(shot.raw))),
-                       Later(lambda: shot.copied(shot.developed[0])), Later(lambda: shot.copied(shot.developed[1])),
-                       Later(report), exposure.blur, shading, self.simulator.readout.averaged)
+                       Later(lambda: np.moveaxis(shot.copied(shot.developed[0]), 0, -1)),
+                       Later(lambda: shot.copied(shot.developed[1])), Later(report), exposure.blur, shading,
+                       self.simulator.readout.averaged)
         return wanted.complete() if exposure.is_rewritten else wanted
 
     def mean_of_pixels(self) -> np.ndarray:

@@ -117,7 +117,7 @@ class Encoder:
         self._options = dict(codec.options) | ({codec.quality: f"{quality:g}"} if quality is not None else {})
 
     def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
-        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (3, rows, cols).
+        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
 
         Gives the number of each that was taken; the file is there when all were. Raises BadFile.
         """
@@ -194,10 +194,9 @@ class Encoder:
         """A frame as an array of the given format."""
         if self.codec.output != "linear":
             return np.ascontiguousarray(values)
-        light = np.moveaxis(values, 0, -1)
         if self.codec.stored == self.codec.given:
-            return np.rint(np.clip(light, 0, 1) * np.float32(65535)).astype(np.uint16)
-        return self._codes[np.rint(np.sqrt(np.clip(light, 0, 1)) * np.float32(len(self._codes) - 1)).astype(np.int32)]
+            return np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
+        return self._codes[np.rint(np.sqrt(np.clip(values, 0, 1)) * np.float32(len(self._codes) - 1)).astype(np.int32)]
 
     @cached_property
     def _codes(self):

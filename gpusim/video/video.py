@@ -114,7 +114,7 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
             if output != "raw":
                 values = simulator.codes(values, exposure) if output == "codes" else simulator.develop(
                     values, exposure)[0]
-            yield Made(number, np.array(simulator.device.numpy(values)), *told)
+            yield Made(number, _on_host(simulator, values, output), *told)
 
 
 def _made(program, number, seed, output):
@@ -123,7 +123,13 @@ def _made(program, number, seed, output):
     if output is None:
         return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
     values = program.output(output, seed=seed, frame=number)
-    return Made(number, np.array(program.simulator.device.numpy(values)), *told)
+    return Made(number, _on_host(program.simulator, values, output), *told)
+
+
+def _on_host(simulator, values, output):
+    """A copy of an output; linear light (rows, cols, 3), as codes are."""
+    copied = np.array(simulator.device.numpy(values))
+    return np.moveaxis(copied, 0, -1) if output == "linear" else copied
 
 
 class NumberedFiles:

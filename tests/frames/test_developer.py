@@ -72,9 +72,9 @@ def test_shading_makes_a_flat_scene_flat(device):
     simulator = Simulator(camera, device=device)
     corrected = simulator(scene).linear
     plain = Simulator(replace(camera, processor=replace(camera.processor, shading=False)), device=device)(scene).linear
-    assert plain[1].min() < 0.6 * plain[1].max()
+    assert plain[..., 1].min() < 0.6 * plain[..., 1].max()
     # numbers of 16 bits at a fifth of white or more: roundings of 1 / 13000; gains err by 2e-4 of themselves at most
-    assert np.ptp(corrected[1]) < 1e-3 * corrected[1].mean()
+    assert np.ptp(corrected[..., 1]) < 1e-3 * corrected[..., 1].mean()
 
 
 @pytest.mark.parametrize("device", FIRST)
@@ -87,8 +87,8 @@ def test_known_defects_leave_no_trace_in_a_flat_field(device):
     scene = chart("flat", size=(60, 40))
     frame = Simulator(camera, device=device)(scene)
     plain = Simulator(replace(camera, processor=replace(camera.processor, defects="none")), device=device)(scene)
-    assert np.ptp(plain.linear[1]) > 0.1
-    assert np.ptp(frame.linear[1]) <= 1e-6  # equal numbers, in sums of different order
+    assert np.ptp(plain.linear[..., 1]) > 0.1
+    assert np.ptp(frame.linear[..., 1]) <= 1e-6  # equal numbers, in sums of different order
 
 
 @pytest.mark.parametrize("device", FIRST)
@@ -136,19 +136,19 @@ def test_a_display_of_its_own_primaries_shows_the_same_colours():
     for name in ("srgb", "display-p3"):
         camera = replace(camera_with(), display=open_display(name))
         frame = Simulator(camera, device="opencl")(scene)
-        found.append(np.tensordot(camera.display.xyz_from_rgb, frame.linear.astype(float), 1))
+        found.append(frame.linear.astype(float) @ camera.display.xyz_from_rgb.T)
     np.testing.assert_allclose(found[0], found[1], atol=2e-6 * np.abs(found[0]).max())  # float32 matrices and pictures
     gamma = replace(camera_with(), display=replace(open_display("srgb"), curve=1.0))
     codes = Simulator(gamma, device="opencl")(scene)
-    np.testing.assert_array_equal(codes.rgb, np.rint(255 * np.clip(np.moveaxis(codes.linear, 0, 2), 0, 1)))
+    np.testing.assert_array_equal(codes.rgb, np.rint(255 * np.clip(codes.linear, 0, 1)))
 
 
 def test_float_raw_values_keep_noise_below_black():
     """A sensor without a converter: values below the dark level are shown as such, so that the mean stays black."""
     camera = camera_with({"read": 20.0, "dsnu": 0.0}, {"bits": FLOAT_BITS, "exposure_time": 1e-6})
     frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), luminance=0.01))
-    spread = frame.linear[1].std()
-    assert spread > 0 and abs(frame.linear[1].mean()) < 5 * spread / np.sqrt(80 * 60 / 4)
+    spread = frame.linear[..., 1].std()
+    assert spread > 0 and abs(frame.linear[..., 1].mean()) < 5 * spread / np.sqrt(80 * 60 / 4)
 
 
 def test_mosaics_that_a_method_does_not_know():
@@ -196,7 +196,7 @@ def test_denoising_without_photon_noise_sees_the_read_noise():
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     plain, denoised = (Simulator(replace(camera, processor=replace(camera.processor, denoise=strength)),
                                  device="opencl")(chart("flat", size=(96, 64))).linear for strength in (0.0, 1.0))
-    assert denoised[1].std() < 0.5 * plain[1].std()  # its variance falls 16 times and more on flat fields
+    assert denoised[..., 1].std() < 0.5 * plain[..., 1].std()  # its variance falls 16 times and more on flat fields
 
 
 @pytest.mark.parametrize("sigma", [0.45, 0.9, 1.6])
@@ -232,7 +232,7 @@ def test_estimated_white_keeps_the_brightness(color):
                          scaling="normalised")
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     frame = Simulator(camera, device="opencl")(chart("flat", size=(80, 60), light="A", reflectance=0.4))
-    np.testing.assert_allclose(frame.linear.mean(axis=(1, 2)), 0.4, rtol=5e-3)
+    np.testing.assert_allclose(frame.linear.mean(axis=(0, 1)), 0.4, rtol=5e-3)
 
 
 def test_one_simulator_is_as_good_as_new_ones():
@@ -284,7 +284,7 @@ def test_shading_of_binned_pixels(binning):
                          {"bits": 16, "binning": binning}, shading=True)
     scene = replace(chart("flat", size=(243, 179)), fov=np.radians(70))
     linear = Simulator(camera, device="opencl")(scene).linear
-    assert max(np.ptp(plane) / plane.mean() for plane in linear) < 6e-3
+    assert max(np.ptp(plane) / plane.mean() for plane in np.moveaxis(linear, -1, 0)) < 6e-3
 
 
 def test_xyz_tables_balance_white_themselves():

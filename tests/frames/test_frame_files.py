@@ -33,13 +33,13 @@ def test_16_bits_are_the_8_bits_and_what_lies_between(tmp_path, display, tone):
     assert np.abs(fine / 257 - frame.rgb).max() <= 0.5 + 0.5 / 257 + 1e-9
     assert len(np.unique(fine)) > 4 * len(np.unique(frame.rgb))
     if not tone:  # the display's own curve, float64, of float32 light
-        wanted = 65535 * frame.camera.display.encode(np.clip(np.moveaxis(frame.linear, 0, -1).astype(float), 0, 1))
+        wanted = 65535 * frame.camera.display.encode(np.clip(frame.linear.astype(float), 0, 1))
         assert np.abs(fine - wanted).max() <= 0.5 + 1e-6
 
 
 def test_linear_light_as_floats(tmp_path):
     frame = gs.Simulator(gs.open_camera("phone"), device="opencl")(gs.chart("ramp", size=(64, 32)))
-    linear = np.moveaxis(frame.linear, 0, -1)
+    linear = frame.linear
     frame.save(tmp_path / "a.tiff", bits=32)
     np.testing.assert_array_equal(openimageio(tmp_path / "a.tiff", "float"), linear)
     for bits, kind in ((32, np.float32), (16, np.float16), (None, np.float32)):
@@ -49,7 +49,7 @@ def test_linear_light_as_floats(tmp_path):
 
 def test_not_finite_light_has_a_code():
     frame = gs.Simulator(gs.open_camera("phone"), device="opencl")(gs.chart("flat", size=(16, 16))).complete()
-    frame.linear[:, 0, :4] = [np.nan, -np.inf, np.inf, 1.0]
+    frame.linear[0, :4] = np.array([np.nan, -np.inf, np.inf, 1.0])[:, None]
     assert frame.codes(16)[0, :4, 0].tolist() == [0, 0, 65535, 65535]
     assert frame.codes() is frame.rgb
     with pytest.raises(OutOfRange, match="bits of display codes = 10: allowed is 8 or 16"):

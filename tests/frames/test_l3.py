@@ -60,7 +60,7 @@ def at_luminance(scene, mean):
 
 def cpsnr(shown, wanted, border=8):
     """Of square roots, which are near display codes [dB]."""
-    shown, wanted = (np.sqrt(np.clip(image[:, border:-border, border:-border], 0, 1)) for image in (shown, wanted))
+    shown, wanted = (np.sqrt(np.clip(image[border:-border, border:-border], 0, 1)) for image in (shown, wanted))
     return -10 * np.log10(np.mean((shown - wanted) ** 2))
 
 
@@ -143,9 +143,9 @@ def patch_differences(camera, table):
     size = (240, 160)
     frame = Simulator(using(camera, table))(chart("colorchecker", size=size, luminance=300.0))
     middles = np.array([[(part.start + part.stop) // 2 for part in patch] for patch in colorchecker_patches(size)]).T
-    wanted = wanted_colors(chart("colorchecker", size=size))[:, *middles]
-    shown = np.linalg.solve(camera.display.rgb_from_xyz, frame.linear[:, *middles])
-    return colour.delta_E(*(colour.XYZ_to_Lab(one.T, [0.3127, 0.3290]) for one in (shown, wanted)), method="CIE 2000")
+    wanted = wanted_colors(chart("colorchecker", size=size))[:, *middles].T
+    shown = np.linalg.solve(camera.display.rgb_from_xyz, frame.linear[*middles].T).T
+    return colour.delta_E(*(colour.XYZ_to_Lab(one, [0.3127, 0.3290]) for one in (shown, wanted)), method="CIE 2000")
 
 
 def test_a_colorimetric_camera_without_noise_is_recovered():
@@ -171,7 +171,7 @@ def column_means(table):
     frame = Simulator(using(camera, table))(ramp, seed=4)
     saturated = (frame.mean[1::2, ::2] >= camera.sensor.saturation).mean(axis=0)
     assert saturated[20] == 0 and saturated[-20] == 1
-    luminance = np.tensordot([0.2126, 0.7152, 0.0722], frame.linear, 1)[8:-8, 8:-8] / wanted_colors(ramp)[1, 8:-8, 8:-8]
+    luminance = (frame.linear @ [0.2126, 0.7152, 0.0722])[8:-8, 8:-8] / wanted_colors(ramp)[1, 8:-8, 8:-8]
     # neighbouring rows share noise: those as far apart as the filters reach count as independent
     return luminance.mean(axis=0), luminance.std(axis=0) / np.sqrt(luminance.shape[0] / 7)
 
@@ -193,7 +193,7 @@ def test_no_step_where_clear_pixels_saturate(rgbw_table):
 def test_better_than_interpolation_in_the_dark(rgbw_table):
     camera = rgbw_camera()
     scene = at_luminance(chart("deadleaves", size=(128, 96), surfaces="colorchecker-sg", smallest=6, seed=3), 1.0)
-    wanted = np.tensordot(camera.display.rgb_from_xyz, wanted_colors(scene), 1)
+    wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
     plain, learned = (cpsnr(Simulator(one)(scene, seed=8).linear, wanted)
                       for one in (camera, using(camera, rgbw_table)))
     # Filters over 85 pixels against means over at most 9: of white noise alone a factor of 85 / 9 in variance, 9.7 dB;
@@ -298,7 +298,7 @@ def test_full_training(name):
         gains = []
         for seed, surfaces in ((3, "colorchecker-sg"), (4, "macbeth")):
             scene = at_luminance(chart("deadleaves", size=(192, 160), surfaces=surfaces, smallest=3, seed=seed), mean)
-            wanted = np.tensordot(camera.display.rgb_from_xyz, wanted_colors(scene), 1)
+            wanted = np.moveaxis(wanted_colors(scene), 0, -1) @ camera.display.rgb_from_xyz.T
             plain, learned = (cpsnr(Simulator(one)(scene, seed=8).linear, wanted)
                               for one in (camera, using(camera, table)))
             gains.append(learned - plain)

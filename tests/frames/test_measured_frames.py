@@ -59,8 +59,8 @@ def test_ideal_frames():
     shares = electrons[:, :24] / electrons[:, 24].max()
     rounding = 0.5 / (CORRECTED_WHITE - CORRECTED_BLACK) / (frame.rendering.white * frame.rendering.diffuser)
     wanted = ideal(checker)
-    wanted = np.stack([wanted[:, *patch].mean(axis=(1, 2)) for patch in colorchecker_patches((192, 128))], 1)
-    known, *others = (ciede2000(Display().xyz_from_rgb @ np.clip(matrix @ (shares + shift), 0, 1), wanted)
+    wanted = np.stack([wanted[patch].mean(axis=(0, 1)) for patch in colorchecker_patches((192, 128))])
+    known, *others = (ciede2000(np.clip(matrix @ (shares + shift), 0, 1).T @ Display().xyz_from_rgb.T, wanted)
                       for shift in np.array([(0, 0, 0), *product((-1, 1), repeat=3)])[:, :, None] * rounding)
     assert (np.abs(patches - known) <= np.abs(np.array(others) - known).max(0) + 1e-4).all()
 
@@ -78,7 +78,7 @@ def test_snr_of_photons(light):
     assert snr(first, second) == pytest.approx(known, abs=0.24)  # temporal alone
     both = 20 * np.log10(light / np.sqrt(light + (0.05 * light) ** 2))
     assert snr(first) == pytest.approx(both, abs=0.24)
-    assert snr(np.stack([first, 2 * second])) == pytest.approx([snr(first), snr(second)])
+    assert snr(np.stack([first, 2 * second], axis=-1)) == pytest.approx([snr(first), snr(second)])
 
 
 
@@ -131,7 +131,7 @@ def test_a_picture_of_a_picture():
     camera = open_camera("phone")  # without blur: diffraction would add 0.5 % of the white half to the grey one
     camera = replace(camera, optics=replace(camera.optics, model="none"))
     frame = Simulator(camera, device="opencl")(displayed(codes, open_display("lcd-apple")))
-    bright, dark = frame.linear[:, 12:36, 4:28].mean(axis=(1, 2)), frame.linear[:, 12:36, 36:60].mean(axis=(1, 2))
+    bright, dark = (frame.linear[12:36, cols].mean(axis=(0, 1)) for cols in (np.s_[4:28], np.s_[36:60]))
     # 576 pixels of 1400 electrons and more, times at most 3 by the matrix: 0.35 % of noise; 3 of these
     np.testing.assert_allclose(dark / bright, (128 / 255) ** 2.01, rtol=0.0105)
     assert np.ptp(bright) < 0.0105 * bright.mean()

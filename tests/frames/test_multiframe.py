@@ -149,8 +149,8 @@ def test_bracket_develops_beyond_white_and_far_below():
         simulate.camera.sensor, bits=16, full_well=1e5, gain=0.6, noise=gs.Noise(photon="none"))),
         device="opencl:0").frames(scene, 1))
     for k, level in enumerate(levels):
-        cut = np.s_[:, 8:-8, 40 * k + 8 : 40 * k + 32]
-        found, wanted = frame.linear[cut].mean(axis=(1, 2)), perfect.linear[cut].mean(axis=(1, 2))
+        cut = np.s_[8:-8, 40 * k + 8 : 40 * k + 32]
+        found, wanted = frame.linear[cut].mean(axis=(0, 1)), perfect.linear[cut].mean(axis=(0, 1))
         # 1056 pixels of 6 e- in the dark, which white's 5700 e- make 6 / 5700 / 32; blue counts 2.5 times; photons
         # more; the perfect camera's mean is rounded to steps of 1.7 e-, and a dark electron may be in it or not
         sigma = 2.5 * np.sqrt((6.0**2 + level * 5700) / 5700**2 / 1056)
@@ -166,7 +166,7 @@ def test_bracket_of_eight_stops_keeps_its_dark_parts_in_16_bits():
     # so dark that photons are none: green would have more of them than red and blue, and all the noise not be green's
     frame = merge_bracket(simulate, gs.bracket(simulate, grey(np.full((96, 96), 1e-6)), (-4, 0, 4)))
     assert (frame.camera.sensor.full_well / 64511) ** 2 / 12 > 0.9 * frame.camera.sensor.noise.read**2
-    dark = frame.linear[1, 8:-8, 8:-8]
+    dark = frame.linear[8:-8, 8:-8, 1]
     mosaic = frame.mean[8:-8, 8:-8].std() * frame.camera.sensor.gain_dn_per_electron / 64511
     expected = mosaic * np.sqrt(frame.rendering.display_from_camera[1] ** 2 @ [0.5625, 0.625, 0.5625])
     # bilinear leaves 9/16 of the variance of red and blue on average and 5/8 of green's; 1600 independent values
@@ -187,8 +187,8 @@ def test_bracket_of_any_gains_in_any_order(taken):
         # about 1000 values each; the wrong frame would be used where it is full: up to half too dark
         assert abs(error[part].mean()) < 4.5 * error[part].std() / np.sqrt(error[part].size) < 0.03
     # display white is the frames' own: 1000 pixels of 5 % noise, and the blue of the darker third
-    alike = next(simulate.shoot(simulate.expose(scene, time), seed=9)).linear[:, :, 32:]
-    assert frame.linear[:, :, 32:].mean() == pytest.approx(alike.mean(), rel=0.01)
+    alike = next(simulate.shoot(simulate.expose(scene, time), seed=9)).linear[:, 32:]
+    assert frame.linear[:, 32:].mean() == pytest.approx(alike.mean(), rel=0.01)
 
 
 @pytest.mark.parametrize(("stops", "middle"), [((-2, 0, 2), 1), ((0, 2, -2), 0), ((-4, -2, 0), 1)])
@@ -204,14 +204,14 @@ def test_merged_pictures_are_as_bright_as_one_of_their_frames(stops, middle):
     frames = gs.bracket(simulate, scene, stops)
     merged = merge_bracket(simulate, frames)
     for column, level in ((0, 0.1), (40, 0.24), (80, 1.0)):
-        cut = np.s_[:, 8:-8, column + 8 : column + 32]
+        cut = np.s_[8:-8, column + 8 : column + 32]
         # the metered white at the level of automatic exposure is display white
         wanted = level * 2.0 ** stops[middle]
         assert merged.linear[cut].mean() == pytest.approx(wanted, rel=0.02)
         if wanted <= 1:
             assert frames[middle].linear[cut].mean() == pytest.approx(wanted, rel=0.02)
     burst = merge_burst(simulate, list(simulate.frames(scene, COUNT)))
-    assert burst.linear[:, 8:-8, 88:-8].mean() == pytest.approx(1, rel=0.02)
+    assert burst.linear[8:-8, 88:-8].mean() == pytest.approx(1, rel=0.02)
     assert burst.rgb[8:-8, 88:-8].mean() > 252  # white has 0.6 % of noise, 2 codes where it does not clip
 
 
@@ -247,7 +247,7 @@ def test_merged_pictures_are_neutral_where_all_is_full():
     scene = grey(np.where(np.arange(64) < 32, 0.2, 100.0)[None].repeat(64, 0))
     for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-2, 0))),
                   merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
-        light = frame.linear[:, 8:-8, 44:-8].mean(axis=(1, 2))
+        light = frame.linear[8:-8, 44:-8].mean(axis=(0, 1))
         # reads below a full well, 5 of 6000 e-, through a matrix of rows up to 3: 0.3 %; unclipped, red is twice blue
         assert light == pytest.approx(np.full(3, light.mean()), rel=0.005)
 
@@ -260,7 +260,7 @@ def test_merged_pictures_have_no_lens_shading():
     for frame in (merge_bracket(simulate, gs.bracket(simulate, scene, (-4, 0, 4))),
                   merge_bracket(simulate, gs.bracket(simulate, scene, (-1, 0))),
                   merge_burst(simulate, list(simulate.frames(scene, COUNT)))):
-        rows = frame.linear.mean(axis=(0, 2))
+        rows = frame.linear.mean(axis=(1, 2))
         # 20 x 40 pixels of at most 5 % noise: 0.2 %, correlated 0.4 %; the gains follow the map at nodes to 1 %
         assert rows[:20].mean() == pytest.approx(rows[70:90].mean(), rel=0.03)
         assert stages(frame)["processor.shade"] and frame.shading is not None
@@ -315,7 +315,7 @@ def test_bracket_of_any_mosaic(cfa):
     error = frame.mean / frame.exposure_time / truth - 1
     assert frame.mean.shape == truth.shape
     assert abs(error.mean()) < 4.5 * error.std() / np.sqrt(error.size)  # 2304 values or more
-    assert frame.linear.shape == (3, 48, 48)
+    assert frame.linear.shape == (48, 48, 3)
 
 
 def test_bracket_as_files(tmp_path):
@@ -506,7 +506,7 @@ def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
 
 
 def psnr(picture, truth):
-    return -10 * np.log10(np.mean((picture - truth)[:, 8:-8, 8:-8] ** 2))
+    return -10 * np.log10(np.mean((picture - truth)[8:-8, 8:-8] ** 2))
 
 
 @pytest.mark.parametrize(("name", "gained"), [("colorchecker", 1.5), ("deadleaves", 0.7)])
@@ -515,8 +515,9 @@ def test_flash_picture_denoises_better_than_the_picture_itself(name, gained):
     denoised = merge_flash(simulate, ambient, flash)
     noise = _display_noise(ambient)
     # the same filter led by the ambient picture alone is a bilateral filter: the mask takes its own means
-    plain = max(psnr(with_flash(ambient.linear, ambient.linear, ambient_noise=noise, flash_noise=noise,
-                                radius=8, reach=reach, device="opencl:0"), truth) for reach in (3.0, 6.0, 12.0))
+    planes = np.moveaxis(ambient.linear, -1, 0)
+    plain = max(psnr(np.moveaxis(with_flash(planes, planes, ambient_noise=noise, flash_noise=noise, radius=8,
+                                            reach=reach, device="opencl:0"), 0, -1), truth) for reach in (3, 6, 12))
     assert psnr(denoised.linear, truth) > plain + gained
     assert psnr(denoised.linear, truth) > psnr(ambient.linear, truth) + 5
     assert denoised.rgb.shape == ambient.rgb.shape and denoised.raw is ambient.raw
@@ -527,14 +528,14 @@ def test_shadows_of_the_flash_are_not_in_the_picture():
     shadow[40:120, 60:140] = True
     simulate, ambient, flash, truth = dim_and_lit(shadow=shadow)
     error = merge_flash(simulate, ambient, flash).linear - truth
-    before = (ambient.linear - truth)[:, 35:125, 55:145].std()
+    before = (ambient.linear - truth)[35:125, 55:145].std()
     rim = np.zeros_like(shadow)
     rim[37:123, 57:143] = True
     rim[43:117, 63:137] = False
-    assert error[:, rim].std() < 0.7 * before  # less noise there, too, and no outline:
+    assert error[rim].std() < 0.7 * before  # less noise there, too, and no outline:
     # 996 pixels of correlated noise, as if of 100: its mean is known to a tenth
-    assert np.abs(error[:, rim].mean(axis=1)).max() < 0.3 * before
-    assert error[:, 50:110, 70:130].std() < 0.6 * before
+    assert np.abs(error[rim].mean(axis=0)).max() < 0.3 * before
+    assert error[50:110, 70:130].std() < 0.6 * before
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------

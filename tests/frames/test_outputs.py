@@ -74,16 +74,17 @@ def test_from_raw_on(device):
     simulator, scene = gs.Simulator(CAMERA, device=device), gs.chart("colorchecker", size=SIZE)
     program = simulator.program(scene, SECONDS)
     frame = program.frame(seed=1, frame=2)
-    for name, wanted in (("raw", frame.raw), ("linear", frame.linear), ("codes", frame.rgb), ("mean", frame.mean)):
+    planes = np.moveaxis(frame.linear, -1, 0)
+    for name, wanted in (("raw", frame.raw), ("linear", planes), ("codes", frame.rgb), ("mean", frame.mean)):
         found = given(simulator, scene, name).reshape(wanted.shape)
         np.testing.assert_allclose(found, wanted, rtol=1e-6 if device == "numpy" else 0)  # frames are float32
     display = CAMERA.display
-    xyz = np.tensordot(display.xyz_from_rgb, frame.linear.astype(float), 1)
+    xyz = np.moveaxis(frame.linear.astype(float) @ display.xyz_from_rgb.T, -1, 0)
     np.testing.assert_allclose(given(simulator, scene, "xyz"), xyz, atol=1e-6 * np.abs(xyz).max())
     camera = given(simulator, scene, "camera")
     shown = np.tensordot(frame.rendering.display_from_camera, np.minimum(
         camera, frame.rendering.ceiling[:, None, None]), 1)
-    np.testing.assert_allclose(frame.linear, shown, atol=1e-5 * np.abs(shown).max())
+    np.testing.assert_allclose(planes, shown, atol=1e-5 * np.abs(shown).max())
 
 
 def test_an_output_runs_what_it_needs_and_no_more():

@@ -101,14 +101,14 @@ def test_a_full_disk_is_said_in_one_line(tmp_path, suffix):
 def test_a_small_picture_on_a_full_disk(tmp_path):
     """A writer that keeps a small file to its end must not lose it in silence."""
     code = ("import numpy as np, resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))\n"
-            "from gpusim.io.exr import write_rgb_exr\nwrite_rgb_exr('a.exr', np.ones((3, 4, 5)))")
+            "from gpusim.io.exr import write_rgb_exr\nwrite_rgb_exr('a.exr', np.ones((4, 5, 3)))")
     done = program(code=code, cwd=tmp_path)
     assert "BadFile: a.exr: cannot be written" in done.stderr and os.listdir(tmp_path) == []
 
 
 def test_atomic_path_leaves_devices_alone(tmp_path):
     (tmp_path / "null").symlink_to("/dev/null")
-    for write in (check_output, lambda path: write_rgb_exr(path, [[[1.0]]] * 3)):
+    for write in (check_output, lambda path: write_rgb_exr(path, [[[1.0] * 3]])):
         with pytest.raises(BadFile, match="is a device or a pipe"):
             write(tmp_path / "null")
     with pytest.raises(BadFile, match="is a device"), atomic_path("/dev/null"):

@@ -44,7 +44,7 @@ def patches(picture):
 
 def own(frame):
     """Linear sRGB as simulated, 1 where the strongest channel of white would saturate: LibRaw's scale."""
-    return patches(np.moveaxis(frame.linear, 0, -1).astype(float)) * frame.rendering.white / frame.rendering.saturation
+    return patches(frame.linear.astype(float)) * frame.rendering.white / frame.rendering.saturation
 
 
 def by_libraw(path):

@@ -36,6 +36,14 @@ def test_rows_in_any_order_are_those_of_the_serial_run(device):
     np.testing.assert_array_equal(rows["frame"][0], expected[4])
 
 
+def test_pictures_have_their_channels_where_the_rows_have_them():
+    rows = {"image": PICTURES[:2], "number": [0, 1]}, {"image": PICTURES[:2].transpose(0, 3, 1, 2), "number": [0, 1]}
+    last, first = (Frames(PHONE, device="numpy", output="linear", channels_last=is_last, exposure_time=0.01)(given)
+                   for given, is_last in zip(rows, (True, False), strict=True))
+    assert last["frame"].shape == (2, 20, 24, 3)
+    np.testing.assert_array_equal(last["frame"].transpose(0, 3, 1, 2), first["frame"])
+
+
 def test_columns_that_are_not_there():
     with pytest.raises(BadData, match="no column 'number'; there are image"):
         Frames(PHONE, device="numpy")({"image": PICTURES})

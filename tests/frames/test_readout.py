@@ -101,7 +101,7 @@ def test_each_pixel_sees_its_own_channel(name):
 def test_grey_comes_out_neutral(name):
     """Two, three and four channels, in colour or grey, as far as half a DN allows."""
     frame = simulator(MOSAICS[name], scaling="normalised")(chart("flat", size=(37, 29)))
-    assert frame.linear.shape == (3, 29, 37) and frame.rgb.shape == (29, 37, 3)
+    assert frame.linear.shape == (29, 37, 3) and frame.rgb.shape == (29, 37, 3)
     # each channel of white is 1 after balance, and grey 0.18; interpolation rounds in float32, far below 1e-4
     assert np.abs(frame.linear / 0.18 - 1).max() <= 0.5 / (4095 / 10000 * frame.mean.min()) + 1e-4
 
@@ -127,7 +127,7 @@ def test_stacked_pixels_are_as_many_captures_as_channels(model):
     optics = dataclasses.replace(OPTICS, model=model)
     scene = chart("colorchecker", size=(60, 44))
     frame = simulator(("RG", "GB"), optics=optics, stacked=True)(scene)
-    assert frame.mean.shape == frame.raw.shape == (3, 44, 60) and frame.linear.shape == (3, 44, 60)
+    assert frame.mean.shape == frame.raw.shape == (3, 44, 60) and frame.linear.shape == (44, 60, 3)
     for layer, letter in enumerate("RGB"):
         one = simulator((letter,), optics=optics)(scene)
         # blurred and not fused: both err by at most the transforms' 2.4e-6 of the peak
@@ -179,7 +179,7 @@ def test_the_mean_is_binned_too():
     for mode, expected in (("charge", pairs.sum(axis=(4, 5))), ("digital", pairs.mean(axis=(4, 5)))):
         frame = simulator(MOSAICS["bayer-rggb"], binning=(2, 2), binning_mode=mode)(scene)
         np.testing.assert_allclose(frame.mean, expected.reshape(16, 24), rtol=4 * ULP)  # three additions, a division
-        assert frame.raw.shape == frame.mean.shape and frame.linear.shape == (3, 16, 24)
+        assert frame.raw.shape == frame.mean.shape and frame.linear.shape == (16, 24, 3)
         assert frame.camera.sensor.bayer_phase == (0, 0)
 
 

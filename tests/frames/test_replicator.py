@@ -60,6 +60,16 @@ def test_a_writer_hands_on_frames_of_batches(device, library):
             np.testing.assert_array_equal(to_host(alone[name], "test"), expected[0])
 
 
+def test_pictures_have_the_renderers_layout():
+    for output, shape in (("codes", (24, 32, 3)), ("linear", (24, 32, 3)), ("camera", (3, 24, 32))):
+        views = Views(PHONE, device="numpy", output=output)
+        expected = gs.Batch(PHONE, device="numpy", output=output)(FRAME[None, ..., :3].transpose(0, 3, 1, 2),
+                                                                  seed=crc32(b""), exposure_time=0.01)[0]
+        found = views({"HdrColor": FRAME}, number=0, exposure_time=0.01)[""]
+        assert found.shape == shape
+        np.testing.assert_array_equal(found, expected if output == "camera" else expected.transpose(1, 2, 0))
+
+
 def test_one_camera_for_all_views_and_what_is_not_there():
     views = Views(PHONE, device="numpy", output="mean")
     frames = views({"HdrColor": FRAME}, number=0, exposure_time=0.01)

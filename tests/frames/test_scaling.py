@@ -108,8 +108,8 @@ def test_a_metered_white_patch_is_white():
     size = (192, 128)
     frame = Simulator(camera(noise={}), device="opencl")(chart("colorchecker", size=size))
     rows, cols = colorchecker_patches(size)[18]
-    middle = frame.linear[:, rows.start + 6 : rows.stop - 6, cols.start + 6 : cols.stop - 6]
-    np.testing.assert_allclose(middle.mean(axis=(1, 2)), 1, atol=0.02)
+    middle = frame.linear[rows.start + 6 : rows.stop - 6, cols.start + 6 : cols.stop - 6]
+    np.testing.assert_allclose(middle.mean(axis=(0, 1)), 1, atol=0.02)
     assert frame.rgb[rows, cols][6:-6, 6:-6].mean() > 250
 
 
@@ -130,7 +130,7 @@ def test_normalised_is_raw_over_the_raw_value_of_white(part, metering):
     electrons *= made.optics.irradiance_factor * sensor.pixel_pitch**2 * sensor.fill_factor
     gain = (sensor.white_level - sensor.black_level) / sensor.full_well
     wanted = (frame.raw.astype(float) - sensor.black_level) / (gain * electrons)
-    np.testing.assert_allclose(frame.linear, np.stack([wanted] * 3), rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(frame.linear, np.stack([wanted] * 3, axis=-1), rtol=2e-5, atol=1e-7)
     # sRGB, IEC 61966-2-1, by its formula; a value at the edge of a code may round either way
     light = np.clip(wanted, 0, 1)
     codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -154,8 +154,8 @@ def test_normalised_colours_are_reflectances_at_every_exposure():
             spectrum = scene.content.spectra[scene.content.ids[cut][0, 0]]
             seen = np.trapezoid(light * CubicSpline(scene.wavelengths, spectrum)(nm), nm) / white
             # blue has a third of green's part of the 16-bit range: half a number of 65471 x part / 3, and 1e-4
-            np.testing.assert_allclose(frame.linear[:, *cut], np.broadcast_to(seen[:, None, None], frame.linear[
-                :, *cut].shape), atol=3 * 0.5 / 65471 / part + 1e-4)
+            np.testing.assert_allclose(frame.linear[cut], np.broadcast_to(seen, frame.linear[cut].shape),
+                                       atol=3 * 0.5 / 65471 / part + 1e-4)
 
 
 def test_raw_values_know_no_scaling():

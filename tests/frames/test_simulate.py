@@ -87,8 +87,9 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
 def patches_of(frame, size):
     """Mean linear display RGB of the middle of every ColorChecker patch."""
     for rows, cols in colorchecker_patches(size):
-        middle = [slice((3 * side.start + side.stop) // 4, (side.start + 3 * side.stop) // 4) for side in (rows, cols)]
-        yield middle, frame.linear[(slice(None), *middle)].mean(axis=(1, 2))
+        middle = tuple(slice((3 * side.start + side.stop) // 4, (side.start + 3 * side.stop) // 4)
+                       for side in (rows, cols))
+        yield middle, frame.linear[middle].mean(axis=(0, 1))
 
 
 def clean(camera, **optics):

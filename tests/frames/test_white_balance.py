@@ -71,7 +71,7 @@ def test_balanced_channels_come_nearer_to_a_sensor_without_mosaic(method, light)
     """
     scene = chart("deadleaves", size=(160, 120), light=light)
     truth = Simulator(noise_free("bilinear", stacked=True), device="opencl")
-    wanted = truth(scene).linear
+    wanted = np.moveaxis(truth(scene).linear, -1, 0)
     simulator = Simulator(noise_free(method), device="opencl")
     exposure = simulator.expose(scene)
     developer, raw = Shots(simulator, exposure).developer, simulator.draw(exposure)

@@ -159,7 +159,7 @@ def test_pictures_say_what_display_they_are_for(tmp_path):
         write_png(tmp_path / f"{name}.png", picture, display)
         np.testing.assert_array_equal(Image.open(tmp_path / f"{name}.png"), picture)
         chunks[name] = (tmp_path / f"{name}.png").read_bytes()
-        write_rgb_exr(tmp_path / f"{name}.exr", np.ones((3, 2, 2)), display=display)
+        write_rgb_exr(tmp_path / f"{name}.exr", np.ones((2, 2, 3)), display=display)
         found = OpenEXR.File(str(tmp_path / f"{name}.exr")).header()["chromaticities"]
         np.testing.assert_allclose(found, np.ravel((*display.primaries, display.white)), rtol=1e-7)
     assert b"cICP" + bytes([12, 13, 0, 1]) in chunks["p3"]

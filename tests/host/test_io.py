@@ -394,10 +394,10 @@ def test_exr_bands_are_named_by_the_user(tmp_path):
 
 def test_exr_rgb_is_lifted_and_written(tmp_path):
     path = tmp_path / "a.exr"
-    rgb = RANDOM.random((3, 4, 5), np.float32)
+    rgb = RANDOM.random((4, 5, 3), np.float32)
     write_rgb_exr(path, rgb)
     scene = open_scene(path)
-    np.testing.assert_array_equal(scene.content.coefficients, rgb)
+    np.testing.assert_array_equal(scene.content.coefficients, np.moveaxis(rgb, -1, 0))
     np.testing.assert_array_equal(scene.content.basis, srgb_primaries().values)
 
 
@@ -452,9 +452,9 @@ def test_exr_writer_refusals(tmp_path):
     with fails(BadData, path, "do not match 3 wavelengths"):
         write_spectral_exr(path, WAVES, np.ones((2, 4, 5)))
     with fails(BadData, path, "'G'", "does not fit 16-bit"):
-        write_rgb_exr(path, np.stack([plane(), plane(70000), plane()]), half=True)
-    with fails(BadData, path, "shape (3, rows, cols)"):
-        write_rgb_exr(path, np.ones((4, 5, 3)))
+        write_rgb_exr(path, np.stack([plane(), plane(70000), plane()], axis=-1), half=True)
+    with fails(BadData, path, "shape (rows, cols, 3)"):
+        write_rgb_exr(path, np.ones((3, 4, 5)))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -743,7 +743,7 @@ def test_atomic_path_refusals(tmp_path):
 @pytest.mark.parametrize("write", [
     lambda path: write_npz(path, chart("flat", size=(4, 3))),
     lambda path: write_spectral_exr(path, WAVES, np.ones((3, 2, 2))),
-    lambda path: write_rgb_exr(path, np.ones((3, 2, 2))),
+    lambda path: write_rgb_exr(path, np.ones((2, 2, 3))),
     lambda path: write_png(path, np.zeros((2, 2), np.uint8)),
     lambda path: write_dng(path, np.zeros((2, 2), np.uint16), (), 0, 1),
 ], ids=["npz", "spectral-exr", "rgb-exr", "png", "dng"])

@@ -22,15 +22,15 @@ GAUSSIANS = [[(0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)], [(0.531, 0.0392
              [(0.488, 0.0536), (0.371, 0.386)]]
 OPPONENT = np.array([[278.7336, 721.8031, -106.5520], [-448.7736, 289.8056, 77.1569],
                      [85.9513, -589.9859, 501.1089]]) / 1000
-GREY = 0.2 * WHITE[:, None, None] * np.ones((1, 48, 48))
+GREY = 0.2 * WHITE * np.ones((48, 48, 1))
 
 
 def xyz_from_lab(lab, white):
-    """CIE 1976 inverted, as CIE 15 writes it; lab (3, ...)."""
-    y = (lab[0] + 16) / 116
-    f = np.stack([y + lab[1] / 500, y, y - lab[2] / 200])
+    """CIE 1976 inverted, as CIE 15 writes it; lab (..., 3)."""
+    y = (lab[..., 0] + 16) / 116
+    f = np.stack([y + lab[..., 1] / 500, y, y - lab[..., 2] / 200], axis=-1)
     ratio = np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29))
-    return ratio * np.reshape(white, (3, *[1] * (ratio.ndim - 1)))
+    return ratio * white
 
 
 # Sharma, Wu & Dalal 2005, "The CIEDE2000 color-difference formula", table 1: pairs 1, 2, 4, 7, 9, 17, 25, 31 and 34
@@ -44,7 +44,7 @@ SHARMA = [((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425), ((50, 3.1571, -77
 
 def test_ciede2000_of_published_pairs():
     """Given to 4 decimals; XYZ there and back leave 1e-9."""
-    first, second, known = (np.array(column, np.float64).T for column in zip(*SHARMA, strict=True))
+    first, second, known = (np.array(column, np.float64) for column in zip(*SHARMA, strict=True))
     for white in (WHITE, np.array([96.42, 100, 82.49])):
         found = ciede2000(xyz_from_lab(first, white), xyz_from_lab(second, white), white)
         assert found == pytest.approx(known, abs=6e-5)
@@ -78,11 +78,11 @@ def test_ideal_colorchecker(light, white):
     display = Display(white=white)
     shown = display.xyz_from_rgb.sum(1)
     xyz = ideal(chart("colorchecker", size=(96, 64), light=light), display)
-    assert xyz.shape == (3, 64, 96) and xyz.dtype == np.float64
-    found = np.array([xyz[:, *patch].mean(axis=(1, 2)) for patch in colorchecker_patches((96, 64))])
+    assert xyz.shape == (64, 96, 3) and xyz.dtype == np.float64
+    found = np.array([xyz[patch].mean(axis=(0, 1)) for patch in colorchecker_patches((96, 64))])
     assert found == pytest.approx(seen_by_colour(light, shown), abs=5e-4)
     assert ideal(chart("flat", size=(3, 2), light=light, reflectance=0.18), display) == pytest.approx(
-        np.tile(0.18 * shown[:, None, None], (1, 2, 3)))
+        np.tile(0.18 * shown, (2, 3, 1)))
     in_daylight = ideal(chart("colorchecker", size=(96, 64), light=light), display, light="D65")
     assert in_daylight == pytest.approx(ideal(chart("colorchecker", size=(96, 64), light="D65"), display), abs=1e-12)
 
@@ -99,9 +99,9 @@ def test_ideal_of_every_kind_of_scene():
     assert ideal(Scene(Cube(NODES, cube.astype(np.float32)), light)) == pytest.approx(one, abs=1e-7)
     assert ideal(Scene(Basis(NODES, share, spectra), light)) == pytest.approx(one, abs=1e-7)
     margin = Scene(Cube(NODES, cube.astype(np.float32)), light, "scene", margin=2)
-    assert ideal(margin) == pytest.approx(one[:, 2:-2, 2:-2], abs=1e-7)
+    assert ideal(margin) == pytest.approx(one[2:-2, 2:-2], abs=1e-7)
     # the light's 50 cd/m2 are those of 360 .. 830 nm, the scene's end at 400 and 700: 1e-4 of D65's
-    assert ideal(margin, luminance=100.0) == pytest.approx(one[:, 2:-2, 2:-2] / 2, rel=1e-3, abs=1e-7)
+    assert ideal(margin, luminance=100.0) == pytest.approx(one[2:-2, 2:-2] / 2, rel=1e-3, abs=1e-7)
     radiance = (cube * light.at(NODES)[:, None, None]).astype(np.float32)
     unknown = Scene(Cube(NODES, radiance), unit_light(NODES))
     # the spline through D65's own steps of 10 nm against its table, which is D65's at these nodes: 1 % of a sample
@@ -115,17 +115,17 @@ def test_ideal_of_every_kind_of_scene():
 def test_ideal_averages_samples_and_hides_what_is_behind():
     scene = chart("slanted-edge", size=(9, 7), samples_per_pixel=3, angle_deg=20)
     fine = ideal(replace(scene, samples_per_pixel=1.0))
-    blocks = fine.reshape(3, 7, 3, 9, 3).mean(axis=(2, 4))
+    blocks = fine.reshape(7, 3, 9, 3, 3).mean(axis=(1, 3))
     assert ideal(scene) == pytest.approx(blocks)
     # the exact area of the line in every pixel, whatever the samples: float32 of the chart
     assert ideal(scene) == pytest.approx(ideal(chart("slanted-edge", size=(9, 7), angle_deg=20)), abs=1e-6)
-    assert ideal(scene, shape=(3, 4)) == pytest.approx(blocks[:, :6, :8].reshape(3, 3, 2, 4, 2).mean(axis=(2, 4)))
+    assert ideal(scene, shape=(3, 4)) == pytest.approx(blocks[:6, :8].reshape(3, 2, 4, 2, 3).mean(axis=(1, 3)))
     for size, binning, stride in (((150, 110), 2, 2), ((152, 112), 2, 2), ((151, 109), 3, 2), ((150, 110), 2, 6)):
         # the frame's size by the stage that bins; the last rows and columns, less than a period of blocks, are cropped
         rows, cols = binned_shape(size[::-1], (binning, binning), (stride, stride))
         one = chart("slanted-edge", size=size, angle_deg=20)
-        whole = ideal(one)[:, : rows * binning, : cols * binning]
-        blocks = whole.reshape(3, rows, binning, cols, binning).mean(axis=(2, 4))
+        whole = ideal(one)[: rows * binning, : cols * binning]
+        blocks = whole.reshape(rows, binning, cols, binning, 3).mean(axis=(1, 3))
         assert ideal(one, shape=(rows, cols)) == pytest.approx(blocks)
         assert ciede2000(blocks, one).max() < 1e-6
     uneven = chart("slanted-edge", size=(90, 70), samples_per_pixel=1.7, angle_deg=20)
@@ -141,13 +141,13 @@ def test_ideal_averages_samples_and_hides_what_is_behind():
     layered = replace(grey, depth=np.full((4, 4), 3.0),
                       layers=(Layer(nearest, np.full((4, 4), 0.25), 1.0), Layer(front, alpha, 2.0)))
     y = 0.25 * 0.9 + 0.75 * (alpha * 0.1 + (1 - alpha) * 0.5)
-    assert ideal(layered)[1] == pytest.approx(y)
+    assert ideal(layered)[..., 1] == pytest.approx(y)
 
 
 def test_scielab_of_even_patches_is_cielab():
     """Filters of unit sum: 1e-12 of the transforms there and back, times 500 in a*."""
     lab = np.array([[55.0, 20, -30], [52, 24, -20]])
-    pair = [xyz_from_lab(one, WHITE)[:, None, None] * np.ones((1, 20, 30)) for one in lab]
+    pair = [xyz_from_lab(one, WHITE) * np.ones((20, 30, 1)) for one in lab]
     known = np.linalg.norm(lab[0] - lab[1])
     for density in (5.0, 40.0, 300.0):
         assert scielab(*pair, density) == pytest.approx(known, abs=1e-8)
@@ -157,7 +157,7 @@ def test_scielab_of_even_patches_is_cielab():
 def test_scielab_of_dither():
     """What is finer than the eye sees vanishes with distance; from very near it is a difference pixel by pixel."""
     checker = np.indices((48, 48)).sum(0) % 2
-    dither = GREY * (1 + 0.2 * (2 * checker - 1))
+    dither = GREY * (1 + 0.2 * (2 * checker[..., None] - 1))
     middle = np.s_[16:32, 16:32]  # away from the border, where the mirrored pattern has two of a kind side by side
     found = [scielab(dither, GREY, density)[middle].mean() for density in (1e-3, 10.0, 20.0, 30.0, 60.0)]
     plain = scielab(dither, GREY, 1e-9).mean()
@@ -176,8 +176,8 @@ def test_scielab_s_filters():
     above which sampling folds.
     """
     random = np.random.default_rng(2)
-    xyz = random.random((3, 24, 31))
-    opponent = np.tensordot(OPPONENT, xyz, 1)
+    xyz = random.random((24, 31, 3))
+    opponent = np.moveaxis(xyz @ OPPONENT.T, -1, 0)
     channels = []
     for plane, gaussians in zip(opponent, GAUSSIANS, strict=True):
         total = 0
@@ -194,7 +194,7 @@ def test_scielab_s_filters():
                 blurred = np.moveaxis(np.tensordot(matrix, blurred, ([1], [axis])), 0, axis)
             total = total + weight * blurred
         channels.append(total / sum(weight for weight, _ in gaussians))
-    truth = np.tensordot(np.linalg.inv(OPPONENT), np.stack(channels), 1)
+    truth = np.stack(channels, axis=-1) @ np.linalg.inv(OPPONENT).T
     assert eye_filtered(xyz, 200.0) == pytest.approx(truth, abs=1e-9)
 
 
@@ -214,7 +214,7 @@ def test_snr_by_hand():
 
 def noisy(spread, seed=0, size=96):
     random = np.random.default_rng(seed)
-    return GREY[:, :1, :1] * (1 + spread * random.standard_normal((3, size, size)))
+    return GREY[:1, :1] * (1 + spread * random.standard_normal((size, size, 3)))
 
 
 def test_visible_snr_goes_as_the_noise():
@@ -233,7 +233,7 @@ def test_visible_snr_unblurred():
     77 x 77 pixels tell a spread to 1 / sqrt(2 n) = 0.9 %: 4 of these.
     """
     random = np.random.default_rng(3)
-    patch = GREY[:, :1, :1] * (1 + 0.01 * random.standard_normal((96, 96)))
+    patch = GREY[:1, :1] * (1 + 0.01 * random.standard_normal((96, 96, 1)))
     assert visible_snr(patch, 1e-9) == pytest.approx(1 / (116 / 3 * np.cbrt(0.2) * 0.01), rel=0.036)
 
 
@@ -258,13 +258,13 @@ def test_visible_snr_of_white_noise():
 
 def test_cpsnr_by_hand():
     """One of 3 x 4 x 4 values inside the border off by 6, one outside by 100: mean square 36 / 48."""
-    reference = np.random.default_rng(0).integers(0, 200, (3, 8, 8)).astype(np.uint8)
+    reference = np.random.default_rng(0).integers(0, 200, (8, 8, 3)).astype(np.uint8)
     image = reference.astype(np.float64)
-    image[1, 4, 4] += 6
-    image[0, 1, 4] += 100
+    image[4, 4, 1] += 6
+    image[1, 4, 0] += 100
     assert cpsnr(image, reference, border=2) == pytest.approx(10 * np.log10(255**2 / (36 / 48)))
     assert cpsnr(image, reference, border=0, peak=1.0) == pytest.approx(-10 * np.log10((36 + 1e4) / 192))
-    assert cpsnr(image[1], reference[1], border=2) == pytest.approx(10 * np.log10(255**2 / (36 / 16)))
+    assert cpsnr(image[..., 1], reference[..., 1], border=2) == pytest.approx(10 * np.log10(255**2 / (36 / 16)))
     assert cpsnr(reference, reference, border=0) == np.inf
     unit = reference / 255.0
     assert cpsnr(unit + 0.01, unit, border=0) == pytest.approx(40)
@@ -274,13 +274,13 @@ def test_cpsnr_by_hand():
 def test_ssim_by_hand():
     """The authors' formula, window by window: Gaussian of 1.5 pixels, 11 x 11, weighted moments, K = .01, .03."""
     random = np.random.default_rng(5)
-    reference = random.random((3, 17, 18))
+    reference = random.random((17, 18, 3))
     image = reference + 0.1 * random.standard_normal(reference.shape)
     at = np.arange(-5, 6)
     window = np.exp(-(at[:, None] ** 2 + at**2) / (2 * 1.5**2))
     window /= window.sum()
     found = []
-    for x, y in zip(image[:, 2:-2, 2:-2], reference[:, 2:-2, 2:-2], strict=True):
+    for x, y in zip(*(np.moveaxis(one[2:-2, 2:-2], -1, 0) for one in (image, reference)), strict=True):
         for i in range(x.shape[0] - 10):
             for j in range(x.shape[1] - 10):
                 a, b = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
@@ -292,14 +292,14 @@ def test_ssim_by_hand():
     assert ssim(reference, reference, border=0) == pytest.approx(1)
 
 
-BAD = np.full((3, 8, 8), np.nan)
+BAD = np.full((8, 8, 3), np.nan)
 
 
 @pytest.mark.parametrize(("call", "what"), [
-    (lambda: ciede2000(GREY[:2], GREY[:2]), "XYZ"), (lambda: ciede2000(BAD, BAD), "NaN"),
-    (lambda: ciede2000(GREY, GREY[:, 1:]), "different shapes"), (lambda: ciede2000(GREY, GREY, (1, 0, 1)), "white"),
+    (lambda: ciede2000(GREY[..., :2], GREY[..., :2]), "XYZ"), (lambda: ciede2000(BAD, BAD), "NaN"),
+    (lambda: ciede2000(GREY, GREY[1:]), "different shapes"), (lambda: ciede2000(GREY, GREY, (1, 0, 1)), "white"),
     (lambda: ciede2000("frame", GREY), "wanted"), (lambda: scielab(GREY, GREY, 0.0), "samples_per_degree = 0"),
-    (lambda: scielab(GREY, GREY, np.nan), "samples_per_degree"), (lambda: scielab(GREY[:, 0], GREY[:, 0], 9.0), "rows"),
+    (lambda: scielab(GREY, GREY, np.nan), "samples_per_degree"), (lambda: scielab(GREY[0], GREY[0], 9.0), "rows"),
     (lambda: scielab(GREY, GREY, 9.0, difference="ciede94"), "did you mean"),
     (lambda: ciede2000(GREY, chart("flat", size=(32, 24))), "binning"),
     (lambda: ideal(chart("flat", size=(32, 24)), shape=(0, 0)), "binning"),
@@ -310,11 +310,11 @@ BAD = np.full((3, 8, 8), np.nan)
     (lambda: samples_per_degree(0.0, 1.0), "pitch"), (lambda: samples_per_degree(1.0, np.inf), "distance"),
     (lambda: snr(np.zeros((4, 4))), "black level"), (lambda: snr(BAD), "NaN"), (lambda: snr(np.ones(4)), "shape"),
     (lambda: snr(np.ones((4, 4)), np.ones((4, 5))), "different shapes"), (lambda: snr([["a", "b"]]), "wanted"),
-    (lambda: visible_snr(GREY[:, :1, :1], 9.0), "2 or more"), (lambda: visible_snr(BAD, 9.0), "NaN"),
-    (lambda: cpsnr(GREY, GREY[:, 1:]), "shapes"), (lambda: cpsnr(GREY, GREY, border=-1), "border = -1"),
+    (lambda: visible_snr(GREY[:1, :1], 9.0), "2 or more"), (lambda: visible_snr(BAD, 9.0), "NaN"),
+    (lambda: cpsnr(GREY, GREY[1:]), "shapes"), (lambda: cpsnr(GREY, GREY, border=-1), "border = -1"),
     (lambda: cpsnr(GREY, GREY, border=24), "inside the border"), (lambda: cpsnr(GREY, GREY, peak=0.0), "peak"),
     (lambda: cpsnr(BAD, BAD, border=0), "NaN"), (lambda: ssim(GREY, GREY, border=19), "11 or more"),
-    (lambda: cpsnr(np.zeros((40, 50, 3)), np.zeros((40, 50, 3))), "planes come first"),
+    (lambda: cpsnr(np.zeros((3, 40, 50)), np.zeros((3, 40, 50))), "channels come last"),
     (lambda: cpsnr(GREY.astype(complex), GREY), "complex"),
 ])
 def test_refused(call, what):

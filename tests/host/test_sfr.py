@@ -105,10 +105,10 @@ def test_standing_lying_and_mirrored():
         assert found.angle == pytest.approx(truth.angle)
 
 
-def test_planes_are_measured_by_themselves():
+def test_channels_are_measured_by_themselves():
     sigmas = (0.3, 0.6, 1.0)
     planes = np.stack([gaussian_edge(*SHAPE, FIVE, sigma) for sigma in sigmas])
-    found = sfr(planes, pitch=2e-6)
+    found = sfr(np.moveaxis(planes, 0, -1), pitch=2e-6)
     assert found.response.shape == (3, len(found.frequencies)) and found.angle.shape == (3,)
     assert np.array_equal(found.response[1], sfr(planes[1]).response)
     assert found.per_mm == pytest.approx(found.frequencies / 2e-3)

@@ -32,8 +32,8 @@ def test_the_response_of_a_gaussian_edge(sigma):
     y, x = np.indices((90, 100))
     distance = (x - 50 - (y - 45) * np.tan(np.radians(5))) * np.cos(np.radians(5))
     grey = 0.4 + 0.3 * erf(distance / (sigma * 2**0.5))
-    linear = np.random.default_rng(1).random((3, 120, 140))
-    linear[:, 20:110, 30:130] = grey
+    linear = np.random.default_rng(1).random((120, 140, 3))
+    linear[20:110, 30:130] = grey[..., None]
     found = edge(linear, (slice(20, 110), slice(30, 130)))
     assert found["mtf50"] == pytest.approx((log(2) / 2) ** 0.5 / (pi * sigma), rel=0.02)
     assert abs(found["angle"]) == pytest.approx(5, abs=0.1)
@@ -45,15 +45,15 @@ def test_the_difference_of_a_checkers_patches():
     """The ideal picture has none; of another the mean is as colour-science has it, patch by patch."""
     scene = gs.chart("colorchecker", size=(192, 128))
     checker, true = Checker(scene), ideal(scene)
-    linear = np.tensordot(np.linalg.inv(DISPLAY.xyz_from_rgb), true, 1)
+    linear = true @ np.linalg.inv(DISPLAY.xyz_from_rgb).T
     inside = np.clip(linear, 0, 1)  # cyan is outside of sRGB
     other = 0.8 * inside
     white = colour.XYZ_to_xy(DISPLAY.xyz_from_rgb.sum(1))
     expected = []
     for y, x in colorchecker_patches((192, 128)):
         at = slice((y.start + y.stop) // 2, (y.start + y.stop) // 2 + 1), (x.start + x.stop) // 2
-        pair = [colour.XYZ_to_Lab(xyz[(slice(None), *at)][:, 0], white)
-                for xyz in (np.tensordot(DISPLAY.xyz_from_rgb, other, 1), true)]
+        pair = [colour.XYZ_to_Lab(xyz[at][0], white)
+                for xyz in (other @ DISPLAY.xyz_from_rgb.T, true)]
         expected.append(colour.delta_E(*pair, method="CIE 2000"))
     assert checker.difference(other, 1.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
     assert checker.difference(2 * other, 2.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
