@@ -42,10 +42,12 @@ _PUBLIC = {
     "illuminated": "gpusim.data.illumination",
     "open_scene": "gpusim.io.scenes", "save_scene": "gpusim.io.scenes",
     "picture": "gpusim.io.scenes", "scene_from": "gpusim.io.arrays", "preview": "gpusim.preview",
+    "plot": "gpusim",  # a package of its own
 }
 __all__ = sorted(_PUBLIC)
 
 if TYPE_CHECKING:  # the same for type checkers and editors, which do not run the code; a test compares the two
+    from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
     from gpusim.batches import Batch as Batch
     from gpusim.captures.bracket import bracket as bracket, lengthened as lengthened
@@ -107,6 +109,8 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
 def __getattr__(name):
     if name not in _PUBLIC:
         raise AttributeError(f"module 'gpusim' has no attribute {name!r}")
+    if _PUBLIC[name] == __name__:
+        return import_module(f"{__name__}.{name}")
     return getattr(import_module(_PUBLIC[name]), name)
 
 

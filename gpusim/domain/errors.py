@@ -79,6 +79,10 @@ class DoesNotFit(GpusimError):
                          "use a smaller scene or another device")
 
 
+class Missing(GpusimError):
+    """A library that is not installed, which only some of the package needs, with the way to get it."""
+
+
 class DeviceError(GpusimError):
     """A device that is missing, unusable or failed, with the reason the driver gave."""
 

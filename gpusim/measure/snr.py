@@ -1,11 +1,83 @@
-"""Signal to noise of an evenly lit patch, as numbers and as the eye sees it."""
+"""Signal to noise of an evenly lit patch, as numbers and as the eye sees it, and of a sensor at every exposure."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.errors import BadData
+from gpusim.data.colorimetry import xyz
+from gpusim.data.lights import illuminant
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.raw_noise import RawNoise
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.measure.difference import cielab, eye_filtered, shown
+from gpusim.planner.weights import product_weights
 
 MIDDLE = 0.8  # part of rows and columns that is judged: at the border a mirrored picture's noise is less blurred
+
+
+POINTS = 200  # of a curve
+DECADES = 5.0  # of light below saturation that a curve has
+
+
+@dataclass(frozen=True, eq=False)
+class SnrCurve:
+    """What a sensor's noise leaves of even light, C channels at N exposures.
+
+    exposure: of the sensor's surface [lx s], rising, shape (N,). electrons: mean, of the light alone [e-], shape
+    (C, N). snr: electrons over the standard deviation of a raw value around them [dB], shape (C, N); NaN where the
+    pixel saturates. saturation: exposure at which each channel does [lx s], shape (C,).
+    """
+
+    exposure: np.ndarray
+    electrons: np.ndarray
+    snr: np.ndarray
+    saturation: np.ndarray
+
+
+def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float = 0.0,
+              temporal: bool = False) -> SnrCurve:
+    """Signal to noise ratio that is expected of each channel against the exposure, up to saturation.
+
+    light: name of an illuminant, or its relative power in energy units. seconds: in which the dark current is
+    collected [s]. temporal: without the fixed patterns (PRNU, DSNU), as of the difference of two frames.
+    Source: EMVA Standard 1288, SNR = mu / sigma of `gpusim.domain.raw_noise.RawNoise`; electrons are those of the
+    sensor's quantum efficiency over its aperture. Raises UnknownName, OutOfRange, BadData.
+    """
+    if not 0 <= seconds < np.inf:
+        raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
+    light = illuminant(light) if isinstance(light, str) else light
+    per_exposure = electrons_per_lux_second(sensor, light)
+    if not per_exposure.any():
+        raise BadData(f"snr_curve: the sensor sees nothing of {light.name or 'the light'}")
+    dark = sensor.noise.dark_current * sensor.noise.warmth * seconds
+    room = sensor.saturation - dark
+    if not room > 0:
+        raise BadData(f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the {sensor.saturation:.4g} e- "
+                      "that a pixel holds; wanted fewer seconds")
+    with np.errstate(divide="ignore"):
+        saturation = room / per_exposure
+    most = saturation[np.isfinite(saturation)].max()
+    exposure = np.union1d(np.geomspace(most * 10**-DECADES, most, POINTS), saturation[np.isfinite(saturation)])
+    electrons = np.outer(per_exposure, exposure)
+    noise = RawNoise.of(sensor)
+    variance = noise.variance(electrons + dark, temporal=temporal)
+    if not temporal:
+        variance = variance + (noise.response + noise.line_response) * electrons**2
+    with np.errstate(divide="ignore"):
+        found = 20 * np.log10(electrons) - 10 * np.log10(variance)
+    return SnrCurve(exposure, electrons, np.where(exposure <= saturation[:, None], found, np.nan), saturation)
+
+
+def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
+    """Electrons that 1 lx s of a light (relative power in energy units) makes in a pixel of each channel, (C,)."""
+    nodes = np.array([max(light.wavelengths[0], sensor.qe.wavelengths[0]),
+                      min(light.wavelengths[-1], sensor.qe.wavelengths[-1])])
+    if not nodes[0] < nodes[1]:
+        return np.zeros(len(sensor.channels))
+    height, width = sensor.aperture
+    photons = product_weights(nodes, photons_from_energy(light), sensor.qe).sum(-1)
+    return height * width * photons / xyz(light)[1]
 
 
 def snr(patch, second=None):

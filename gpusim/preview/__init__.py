@@ -18,7 +18,7 @@ class _Function(ModuleType):
         Returns a `gpusim.preview.notebook.Preview`. Raises GpusimError: without ipywidgets and simplejpeg, for a scene,
         a camera, a device or a tolerance that there is not.
         """
-        from gpusim.preview.cli import Missing
+        from gpusim.domain.errors import Missing
 
         try:
             import ipywidgets  # noqa: F401

@@ -2,14 +2,10 @@
 
 import socket
 
-from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import Missing, OutOfRange, UnknownName
 from gpusim.options import add_asked, operated, whole
 from gpusim.preview.guard import LOOPBACK
 from gpusim.video.asked import add_moving, moving
-
-
-class Missing(GpusimError):
-    """What the preview needs is not installed."""
 
 
 def add_command(commands):

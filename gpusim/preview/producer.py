@@ -11,6 +11,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.frame import Frame
 from gpusim.io.scenes import relit
+from gpusim.measure.mosaic import colored
 from gpusim.preview.measures import checker_of, edge, error_map, light, on_host
 from gpusim.preview.state import State
 from gpusim.report import Error
@@ -169,12 +170,12 @@ class Producer:
         raw = self._on_host(program.raw(seed=seed, frame=number))
         sensor = program.exposure.camera.sensor
         shown = np.clip((raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1)
-        return _mosaic(sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5)))
+        return colored(sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5)))
 
     def _electrons(self, program, seed, number):
         mean = program.exposure.layered(self._on_host(program.exposure.mean))
         sensor = program.exposure.camera.sensor
-        return _mosaic(sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5))
+        return colored(sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5))
 
     def _noise(self, program, seed, number):
         exposure, sensor = program.exposure, program.exposure.camera.sensor
@@ -195,19 +196,6 @@ def _beside(codes, others, split):
     codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
     codes[:, max(at - 1, 0) : at + 1] = 255
     return codes
-
-
-def _mosaic(sensor, values):
-    """Codes (rows, cols, 3) of a mosaic in its filters' colours; of one channel or of other letters, in grey."""
-    if values.ndim == 3:
-        shown = values if len(values) == 3 else np.repeat(values.mean(axis=0, dtype=np.float32)[None], 3, 0)
-        return np.moveaxis(shown.astype(np.uint8), 0, -1)
-    if not {*sensor.channels} <= {*"RGB"} or sensor.is_monochrome:
-        return _grey(values)
-    shape = values.shape
-    colours = np.array(["RGB".index(letter) for letter in sensor.channels])[sensor.cfa_indices]
-    tiled = np.tile(colours, [-(-n // m) for n, m in zip(shape, colours.shape, strict=True)])[: shape[0], : shape[1]]
-    return values[..., None] * (tiled[..., None] == np.arange(3))
 
 
 def _grey(values):

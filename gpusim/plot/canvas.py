@@ -1,0 +1,86 @@
+"""Axes to draw on, and the colours in which channels, wavelengths and spectra of light are drawn."""
+
+import numpy as np
+
+from gpusim.data.colorimetry import adaptation, cmf
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadData, Missing
+
+CHANNELS = {"R": (0.84, 0.15, 0.16), "G": (0.17, 0.63, 0.17), "B": (0.12, 0.35, 0.80), "Y": (0.35, 0.35, 0.35),
+            "W": (0.45, 0.45, 0.45), "C": (0.09, 0.65, 0.75), "M": (0.80, 0.20, 0.65), "E": (0.05, 0.55, 0.45)}
+OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))  # of letters not in it
+QUIET = "0.55"  # grey of lines that are no data
+
+
+def matplotlib():
+    """The library's package of plain calls, `matplotlib.pyplot`. Raises Missing."""
+    try:
+        from matplotlib import pyplot
+    except ImportError:
+        raise Missing("plot: matplotlib is not installed; wanted: pip install 'gpusim[plot]'") from None
+    return pyplot
+
+
+def axes_of(ax, size=(6.4, 4.4)):
+    """The axes given, or those of a new figure of so many inches where that is None. Raises BadData, Missing."""
+    if ax is None:
+        return matplotlib().subplots(figsize=size, layout="constrained")[1]
+    if not (hasattr(ax, "plot") and hasattr(ax, "imshow")):
+        raise BadData(f"ax: {type(ax).__name__}, wanted axes of matplotlib, such as matplotlib.pyplot.gca()")
+    return ax
+
+
+def panels(figure, rows: int, cols: int, size):
+    """Axes (rows, cols) on a figure of matplotlib, or on a new one of so many inches where that is None."""
+    if figure is None:
+        figure = matplotlib().figure(figsize=size, layout="constrained")
+    if not hasattr(figure, "subplots"):
+        raise BadData(f"figure: {type(figure).__name__}, wanted a figure of matplotlib")
+    return figure, figure.subplots(rows, cols, squeeze=False)
+
+
+def image(ax, codes, title=""):
+    """A picture (rows, cols, 3) whose pixels stay pixels, without ticks."""
+    ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
+    ax.set_xticks([])
+    ax.set_yticks([])
+    ax.set_title(title)
+    return ax
+
+
+def finish(ax, title, x, y, legend=True):
+    """Title, labels of both axes, a faint grid and a legend."""
+    ax.set_title(title)
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    ax.grid(True, color="0.9", linewidth=0.8)
+    ax.set_axisbelow(True)
+    if legend:
+        ax.legend(frameon=False, fontsize="small")
+    return ax
+
+
+def channel_colors(channels) -> dict:
+    """A colour for each letter of a mosaic."""
+    others = iter(OTHERS * len(channels))
+    return {letter: CHANNELS.get(letter) or next(others) for letter in channels}
+
+
+def wavelength_color(nanometres: float) -> tuple:
+    """Color of light of one wavelength in sRGB, in its gamut and dark enough for a line on white; grey if unseen."""
+    xyz = cmf().at(nanometres)
+    if not xyz.sum() > 1e-4:
+        return (0.4, 0.4, 0.4) if nanometres < 550 else (0.25, 0.1, 0.1)
+    linear = np.maximum(DISPLAYS["srgb"].rgb_from_xyz @ xyz, 0)
+    linear = linear / linear.max()
+    shown = np.clip(DISPLAYS["srgb"].encode(linear), 0, 1)
+    return tuple(float(value) for value in shown * min(1.0, 0.62 / (shown @ (0.3, 0.6, 0.1))))
+
+
+def srgb(xyz, white=None) -> np.ndarray:
+    """Codes of sRGB, 0 .. 1 (rows, cols, 3), of XYZ (3, rows, cols), clipped; white: XYZ that become its white."""
+    display = DISPLAYS["srgb"]
+    matrix = display.rgb_from_xyz
+    if white is not None:
+        matrix = matrix @ adaptation(white, display.xyz_from_rgb.sum(1))
+    return np.clip(display.encode(np.clip(np.moveaxis(np.tensordot(matrix, xyz, 1), 0, -1), 0, 1)), 0, 1)
