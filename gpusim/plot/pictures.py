@@ -56,12 +56,6 @@ def _response(what, seed, device):
     else:
         raise BadData(f"sfr: {type(what).__name__}, wanted a Camera, a frame of a slanted edge or an EdgeResponse")
     sensor = frames[0].camera.sensor
-    planes = np.mean([_planes(frame) for frame in frames], axis=0)
-    planes, letters = (planes[0], sensor.channels) if sensor.is_monochrome else (planes, "RGB")
-    return measured(planes, pitch=sensor.pixel_pitch), letters, frames[0].camera.name, sensor.pixel_pitch
-
-
-def _planes(frame):
-    """Linear display RGB of a frame, (3, rows, cols)."""
-    linear = frame.linear
-    return np.moveaxis(linear, -1, 0) if linear.shape == frame.rgb.shape else linear
+    linear = np.mean([frame.linear for frame in frames], axis=0)
+    linear, letters = (linear[..., 0], sensor.channels) if sensor.is_monochrome else (linear, "RGB")
+    return measured(linear, pitch=sensor.pixel_pitch), letters, frames[0].camera.name, sensor.pixel_pitch
