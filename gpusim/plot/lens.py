@@ -40,11 +40,11 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
     nyquist = 0.5e-3 / sensor.pixel_pitch  # [cycle/mm]
     frequencies = np.linspace(0, _most(camera, of, nyquist), POINTS)
     own = np.sinc(1e3 * frequencies * aperture)
-    along = (0.0, 1e3 * frequencies) if direction == "across" else (1e3 * frequencies, 0.0)
+    fy, fx = (0.0, 1e3 * frequencies) if direction == "across" else (1e3 * frequencies, 0.0)
     ax, colors = axes_of(ax), channel_colors(sensor.channels)
     for one in of:
         nodes, weights = _light_of(camera, one, light)
-        response = np.abs(weights @ lens_response(optics, nodes, *along, place)) * (np.abs(own) if pixel else 1)
+        response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (np.abs(own) if pixel else 1)
         style = {"color": colors[one], "linestyle": "--"} if isinstance(one, str) else {"color": wavelength_color(one)}
         ax.plot(frequencies, response, label=_name(one), **style)
     ax.plot(frequencies, np.abs(own), color=QUIET, linestyle=":", label="pixel aperture alone")
