@@ -10,6 +10,7 @@ import numpy as np
 
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.brief import shortened
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
@@ -50,6 +51,9 @@ class Batch:
         else:
             self._light = unit_light(self.wavelengths)
         self._batches: OrderedDict = OrderedDict()
+
+    def __repr__(self):
+        return shortened(f"Batch({self.output}, {self.simulator!r})")
 
     def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None):
         """Frames of pictures (B, C, rows, cols), floats, not negative: (B, rows, cols) or (B, C, rows, cols).

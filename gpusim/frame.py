@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.io.frames import write_frame
@@ -49,6 +50,10 @@ class Exposure:
     wall_ms: float = 0.0
     device: Device = dataclasses.field(default_factory=Device)
     is_rewritten: bool = False
+
+    def __repr__(self):
+        return shortened(f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
+                         f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})")
 
     def layered(self, raw):
         """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
@@ -114,6 +119,12 @@ class Frame:
     blur: float = 0.0
     shading: np.ndarray | None = None
     averaged: int | None = 1
+
+    def __repr__(self):
+        made = {name: vars(self)[name] for name in ("raw", "rgb", "linear", "mean")}
+        parts = [f"{name} {part.dtype} {part.shape}" for name, part in made.items() if not isinstance(part, Later)]
+        return shortened(f"Frame({self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
+                         f"{', '.join(parts) or 'nothing computed yet'})")
 
     def complete(self) -> "Frame":
         """The same, all of it made; nothing of it is on the device any more."""

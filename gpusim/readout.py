@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device, open_device
+from gpusim.domain.brief import shortened
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
@@ -50,6 +51,9 @@ class Readout:
         self.response_key = (sensor.binning, sensor.binning_mode, sensor.cfa, chip.prnu, chip.row_prnu,
                              chip.column_prnu, chip.dead_pixels, chip.hot_pixels, chip.hot_current, chip.warmth,
                              chip.seed)
+
+    def __repr__(self):
+        return shortened(f"Readout({self.sensor!r}, {self.device!r})")
 
     def operated(self, gain: float) -> Sensor:
         """The output sensor with its analog gain multiplied by `gain`; the last ones are kept."""

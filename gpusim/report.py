@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from gpusim.domain.account import Account, Verdict
+from gpusim.domain.brief import shortened
 from gpusim.domain.tolerance import Tolerance
 
 
@@ -110,6 +111,12 @@ class Report:
         """Plain data, for JSON."""
         return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance,
                                "prediction_ratio": self.prediction_ratio, "predicted": asdict(self.account.total)}
+
+    def __repr__(self):
+        named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
+        verdict = "" if self.verdict is None else f", tolerance {'met' if self.verdict.met else 'NOT met'}"
+        return shortened(f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
+                         f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})")
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "

@@ -7,6 +7,7 @@ from operator import is_
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, noted
+from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.scene import Scene
@@ -54,6 +55,10 @@ class Simulator:
         self.launched: list[str] = []  # names of stages in their order
         self._drawing = OwnTape()
         self._connect(camera, Kept(), Kept())
+
+    def __repr__(self):
+        asked = "exact" if self.tolerance is None else repr(self.tolerance)
+        return shortened(f"Simulator({self.camera!r}, {self.device!r}, {asked})")
 
     def _connect(self, camera, kept, tables):
         """Kept: what depends on the camera. Tables: of its lens, patterns of its chip, for frames of the same kind."""

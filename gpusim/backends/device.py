@@ -67,6 +67,9 @@ class Device:
         if self.kind != "numpy":
             _in_use.add(self)
 
+    def __repr__(self):
+        return f"Device({self.name!r})"
+
     def __reduce__(self):
         return _reopened, (self.name,)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
@@ -30,6 +31,8 @@ class Focus:
     depth_of_focus: float
     distances: np.ndarray
     contrasts: np.ndarray
+
+    __repr__ = brief
 
     @property
     def object_distance(self) -> float:

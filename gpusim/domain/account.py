@@ -56,6 +56,9 @@ class Account:
     seconds: float = 1.0
     doubt: str = ""
 
+    def __repr__(self):
+        return f"Account(rms {self.total.rms:.2g} in all, of {len(self.bounds)} causes, {1e3 * self.seconds:.4g} ms)"
+
     @property
     def total(self) -> Bound:
         """All together."""

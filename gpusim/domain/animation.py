@@ -6,6 +6,7 @@ from math import ceil, cos, floor, sin
 import numpy as np
 import scipy.ndimage
 
+from gpusim.domain.brief import brief
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.motion import Motion
@@ -27,6 +28,8 @@ class Actor:
     alpha: np.ndarray
     place: tuple[float, float] = (0.0, 0.0)
     path: Motion = field(default_factory=Motion)
+
+    __repr__ = brief
 
     def __post_init__(self):
         if not isinstance(self.content, Basis | Cube):
@@ -89,6 +92,8 @@ class Animation:
 
     scene: Scene
     actors: tuple[Actor, ...]
+
+    __repr__ = brief
 
     def __post_init__(self):
         scene = checked_scene(self.scene)

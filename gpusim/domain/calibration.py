@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
 
 PINHOLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")  # OpenCV's order
@@ -52,6 +53,8 @@ class BrownConrady:
     s4: float = 0.0
     tau_x: float = 0.0
     tau_y: float = 0.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         check_model(self, *PINHOLE)
@@ -122,6 +125,8 @@ class Fisheye:
     radius: float
     scale: float = 1.0
 
+    __repr__ = brief
+
     def __post_init__(self):
         check_model(self, *FISHEYE)
 
@@ -167,6 +172,8 @@ class Calibration:
     cy: float
     coefficients: tuple[float, ...] = ()
     fisheye: bool = False
+
+    __repr__ = brief
 
     def __post_init__(self):
         for key in ("width", "height"):
@@ -248,6 +255,8 @@ class Framed:
     radius: float
     aspect: float
     middle: tuple[float, float]
+
+    __repr__ = brief
 
     def normalised(self, x, y):
         """Positions divided by the focal lengths, from the principal point: tangents of field angles, if ideal."""

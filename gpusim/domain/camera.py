@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from gpusim.domain.brief import shortened
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
@@ -42,6 +43,14 @@ class Camera:
             raise OutOfRange("processor.color", f'"{self.processor.color}"',
                              f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                              "colour needs at least 3")
+
+    def __repr__(self):
+        optics, sensor = self.optics, self.sensor
+        mosaic = "stacked " + "".join(sensor.channels) if sensor.stacked else "/".join(sensor.cfa)
+        time = "automatic exposure" if sensor.exposure_time is None else f"{1e3 * sensor.exposure_time:.4g} ms"
+        bits = "no converter" if sensor.bits == FLOAT_BITS else f"{sensor.bits} bits"
+        return shortened(f"Camera({self.name!r}, f/{optics.f_number:g}, {1e3 * optics.focal_length:.4g} mm, pixels of "
+                         f"{1e6 * sensor.pixel_pitch:.4g} um, {mosaic}, {bits}, {time})")
 
     def with_(self, **changes) -> "Camera":
         """The same camera with other values: `camera.with_(f_number=2.0, read_e=3)`.

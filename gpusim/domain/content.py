@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from gpusim.domain.brief import span
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.memory import Pinned
@@ -38,6 +39,10 @@ class Content:
     def __post_init__(self):
         for name in self.samples:
             object.__setattr__(self, name, described(getattr(self, name), f"{self.form} {name}"))
+
+    def __repr__(self):
+        tables = "".join(f", {name} {np.shape(getattr(self, name))}" for name in self.shared)
+        return f"{type(self).__name__}({self.shape[1]}x{self.shape[0]}, {span(self.wavelengths)}{tables})"
 
     @property
     def planes(self) -> np.ndarray:
@@ -202,7 +207,7 @@ class Content:
         raise BadData(f"{name}: negative {label} (lowest {low:.3g}); radiance cannot be negative")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cube(Content):
     """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm].
 
@@ -243,7 +248,7 @@ class Cube(Content):
                           "cols)")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Basis(Content):
     """A linear model: pixel spectrum = sum_k coefficients[k] basis[k].
 
@@ -280,7 +285,7 @@ class Basis(Content):
         pass
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Materials(Content):
     """One material per pixel: pixel spectrum = shading * spectra[ids].
 
@@ -329,7 +334,7 @@ class Materials(Content):
             raise OutOfRange(f"{name}: material id", int(self.ids.max()), f"0 .. {len(self.spectra) - 1}")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Picture(Content):
     """Encoded numbers as cameras and decoders give them: pixel spectrum = sum_k curve[codes[k]] basis[k].
 

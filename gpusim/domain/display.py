@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, check_range
 from gpusim.domain.spectrum import Spectrum
 
@@ -26,6 +27,8 @@ class Display:
     curve: str | float = "srgb"
     luminance: float = 80.0
     spectra: Spectrum | None = None
+
+    __repr__ = brief
 
     def __post_init__(self):
         try:

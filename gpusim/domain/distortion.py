@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
 from gpusim.domain.errors import BadData, OutOfRange
 
@@ -24,6 +25,8 @@ class RadialPolynomial:
     k2: float
     radius: float
     scale: float = 1.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         check_model(self, "k1", "k2")
@@ -54,6 +57,8 @@ class RadialTable:
     ideal: np.ndarray
     real: np.ndarray
     scale: float = 1.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         ideal, real = np.asarray(self.ideal, np.float64), np.asarray(self.real, np.float64)

@@ -10,7 +10,7 @@ from gpusim.domain.content import Basis, Content, is_seen
 from gpusim.domain.errors import BadData
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Illuminated(Content):
     """Surfaces in several lights: pixel spectrum = sum_k maps[k] lights[k] sum_j coefficients[j] basis[j].
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
 DOMAINS = ("root", "linear")
@@ -150,6 +151,8 @@ class Layout:
     detail: tuple[np.ndarray, np.ndarray] | None = None
     shares: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
+    __repr__ = brief
+
     def __post_init__(self):
         if self.domain not in DOMAINS:
             raise UnknownName("domain", self.domain, DOMAINS)
@@ -287,6 +290,8 @@ class FilterTable:
     filters: np.ndarray
     offsets: np.ndarray | None = None
     provenance: str = ""
+
+    __repr__ = brief
 
     def __post_init__(self):
         shape = self.layout.shape

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 
 PHOTONS = ("fast", "exact", "none")
@@ -62,6 +63,8 @@ class Noise:
     telegraph: float = 0.0
     telegraph_switching: float = 1.0
     seed: int = 0
+
+    __repr__ = brief
 
     def __post_init__(self):
         def check(key, allowed, good, unit=""):

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.psf import PointSpread
@@ -51,6 +52,8 @@ class Optics:
     psf: PointSpread | None = None
     distortion: Distortion | None = None
     lateral_color: Spectrum | float = 0.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         if not 0.1 <= self.f_number <= 1000:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 from gpusim.domain.learned import FilterTable
 
@@ -56,6 +57,8 @@ class Processor:
     scaling: str = "exposure"
     tone: tuple = ()
     white: tuple[float, ...] = ()
+
+    __repr__ = brief
 
     def __post_init__(self):
         for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),

@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from scipy.special import erf
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 
 
@@ -31,6 +32,8 @@ class PointSpread:
     heights: np.ndarray | None = None
     grid: tuple | None = None
     _axes: tuple = field(init=False, repr=False, default=())
+
+    __repr__ = brief
 
     def __post_init__(self):
         wavelengths, values = np.asarray(self.wavelengths, np.float64), np.asarray(self.values, np.float64)

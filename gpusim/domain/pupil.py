@@ -10,6 +10,7 @@ from math import comb, factorial
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 
 LONGEST_WAVEFRONT = 40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
@@ -63,6 +64,8 @@ class Wavefront:
     heights: tuple[float, ...] = ()
     seidel: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     reference: float = 550.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         zernike, heights = np.asarray(self.zernike, np.float64), np.asarray(self.heights, np.float64)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gpusim.domain.brief import brief, shortened
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum
@@ -24,6 +25,8 @@ class Layer:
     content: Content
     alpha: np.ndarray
     depth: np.ndarray | float
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,13 @@ class Scene:
             if np.max(layer.depth) < farther:
                 raise BadData(f"{name}: nearer than the layer before it; the nearest comes first")
             farther = np.min(layer.depth)
+
+    def __repr__(self):
+        more = ["light unknown"] * (not self.light_is_known) + ["with depth"] * (self.depth is not None)
+        more += [f"{len(self.layers)} layers"] * bool(self.layers) + [repr(self.view)] * (not self.view.is_plain)
+        if self.samples_per_pixel != 1:
+            more += [f"{self.samples_per_pixel:g} samples per pixel"]
+        return shortened(f"Scene({', '.join([repr(self.name), repr(self.content), *more, f'border {self.border!r}'])})")
 
     def stored(self, **arrays) -> "Scene":
         """The same with its samples, by their names in `content`, kept elsewhere: on a device; nothing is looked at."""

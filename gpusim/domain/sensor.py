@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
@@ -27,6 +28,8 @@ class Microlens:
     angles: np.ndarray
     response: np.ndarray
     shift: float = 0.0
+
+    __repr__ = brief
 
     def __post_init__(self):
         angles, response = np.asarray(self.angles, np.float64), np.asarray(self.response, np.float64)
@@ -105,6 +108,8 @@ class Sensor:
     analog_offset: float = 0.0
     black_level: int = 0
     noise: Noise = field(default_factory=Noise)
+
+    __repr__ = brief
 
     def __post_init__(self):
         for key, kind in (("qe", Spectrum), ("noise", Noise), ("auto_exposure", AutoExposure)):

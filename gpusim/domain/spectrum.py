@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import shortened, span
 from gpusim.domain.errors import BadData
 
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
@@ -42,6 +43,11 @@ class Spectrum:
             raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
         object.__setattr__(self, "wavelengths", wavelengths)
         object.__setattr__(self, "values", values)
+
+    def __repr__(self):
+        name, curves = f"{self.name!r}, " if self.name else "", len(np.atleast_2d(self.values))
+        return shortened(f"Spectrum({name}{f'{curves} curves, ' if curves > 1 else ''}{span(self.wavelengths)}, "
+                         f"values {self.values.min():.4g} .. {self.values.max():.4g})")
 
     def at(self, wavelengths, outside: float | None = 0.0) -> np.ndarray:
         """Values at `wavelengths` [nm], shape (..., len(wavelengths)).

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
@@ -22,6 +23,8 @@ class MergeInputs:
     rates: np.ndarray
     variances: np.ndarray
     valid: np.ndarray
+
+    __repr__ = brief
 
 
 def merge_inputs(frames, averaged: int = 1) -> MergeInputs:

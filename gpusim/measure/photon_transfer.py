@@ -7,6 +7,7 @@ from numbers import Real
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 
 QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
@@ -63,6 +64,8 @@ class PhotonTransfer:
     prnu_pixel: float | None = None
     dark_current: float | None = None
     dark_current_from_variance: float | None = None
+
+    __repr__ = brief
 
     @property
     def figures(self) -> dict[str, float]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 
 BINS = 4  # to a pixel along the edge's normal
@@ -30,6 +31,8 @@ class EdgeResponse:
     angle: np.ndarray
     per_mm: np.ndarray | None = None
     error: np.ndarray | None = None
+
+    __repr__ = brief
 
 
 def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> EdgeResponse:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from gpusim.domain.account import Account, Bound, Verdict, total
+from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
@@ -103,6 +104,13 @@ class Plan:
     far: FarField | None = None
     tiling: Tiling | None = None
     is_draft: bool = False
+
+    def __repr__(self):
+        rows, cols = self.scene.shape
+        planes = len(self.weights if self.table is None else self.table)
+        return shortened(f"Plan({self.scene.name} {cols}x{rows} by {self.camera.name}: {planes} planes"
+                         f"{'' if self.mix is None else f', transforms of {self.period[1]}x{self.period[0]}'}, "
+                         f"predicted rms {self.account.total.rms:.2g})")
 
     @cached_property
     def front(self) -> tuple[Candidate, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
+from gpusim.domain.brief import brief
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
 from gpusim.domain.processor import Processor
@@ -36,6 +37,8 @@ class Rendering:
     white: float
     saturation: float
     diffuser: float
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from gpusim.domain.brief import shortened
 from gpusim.domain.camera import checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
 from gpusim.domain.scene import Scene, checked_scene
@@ -33,6 +34,9 @@ class Batch:
         self._simulator, self._kept = simulator, Kept(simulator.device)
         self._items: list[Program | None] = [None] * self.count
         self._planned_for = planned_for
+
+    def __repr__(self):
+        return shortened(f"Batch({self.count} of {self.output}, {self._simulator!r})")
 
     def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0, frame=0):
         """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.

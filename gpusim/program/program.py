@@ -7,6 +7,7 @@ from math import prod
 from typing import Any
 
 from gpusim.domain.account import Account
+from gpusim.domain.brief import shortened
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -103,6 +104,9 @@ class Program:
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
         self._drafts = False
+
+    def __repr__(self):
+        return shortened(f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})")
 
     def update(self, *, camera=SAME, scene=SAME, exposure_time=SAME, gain=SAME, drafts: bool = False) -> "Program":
         """The same program with another camera, scene, exposure time [s] (None: the camera's own) or analog gain.
