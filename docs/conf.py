@@ -13,6 +13,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 import generate  # noqa: E402  beside this file
+import matplotlib  # noqa: E402
 
 import gpusim  # noqa: E402
 
@@ -36,6 +37,12 @@ html_static_path = ["_static"]
 html_css_files = ["gpusim.css"]
 html_copy_source = False
 
+
+def whole_figures(gallery, path):
+    """Save figures as notebooks show them: with all of their titles."""
+    matplotlib.rcParams["savefig.bbox"] = "tight"
+
+
 sphinx_gallery_conf = {
     "examples_dirs": str(HERE / "examples"),
     "gallery_dirs": str(HERE / "gallery"),
@@ -48,6 +55,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 30,  # [s] an example that takes longer is named: none should
     "within_subsection_order": "FileNameSortKey",
     "matplotlib_animations": False,
+    "reset_modules": ("matplotlib", whole_figures),
     "plot_gallery": "True",
 }
 

@@ -1,0 +1,94 @@
+"""
+A bracket of exposures, and a burst
+===================================
+
+A window beside a dark room holds more light than a sensor can. Several exposures hold it together; several short ones
+make up for a hand that shakes.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from skimage import data
+
+import gpusim as gs
+
+# %%
+# A scene of high dynamic range
+# -----------------------------
+# Photographs end at white. Linear numbers do not: the right half of this picture lies in sunlight, 50 times as bright.
+
+photograph = data.coffee()[30:350:2, 60:540:2] / 255.0
+linear = photograph**2.2
+linear[:, 120:] *= 50
+scene = gs.scene_from(linear, linear=True, luminance=20)
+camera = gs.open_camera("phone")
+simulate = gs.Simulator(camera)
+
+# %%
+# Bracket
+# -------
+# The camera meters the brightest pixel; two more exposures are 8 and 64 times as long. ``merge_bracket`` gives every
+# pixel the mean of its rates, weighted by the inverse of their variances. Where a pixel is full, shorter frames serve.
+
+frames = gs.bracket(simulate, scene, (0, 3, 6))
+merged = gs.merge_bracket(simulate, frames)
+
+
+def toned(rates):
+    """Values that a screen can show, by a global curve (Reinhard's), for the eye alone."""
+    rates = np.maximum(rates, 0)
+    brightest = rates.max(axis=-1, keepdims=True)
+    return (rates / (brightest + np.median(brightest))) ** (1 / 2.2)
+
+
+figure, axes = plt.subplots(2, 2, figsize=(10, 6.9), layout="constrained")
+for axis, frame in zip(axes.flat, frames, strict=False):
+    full = (frame.raw >= 1023).mean()
+    axis.imshow(frame.rgb)
+    axis.set_title(f"{1e3 * frame.exposure_time:.3g} ms: {100 * full:.0f} % of the pixels are full")
+planes = np.asarray(merged.linear)
+axes[1, 1].imshow(toned(planes if planes.shape[-1] == 3 else np.moveaxis(planes, 0, -1)))
+axes[1, 1].set_title("merged, with a tone curve")
+for axis in axes.flat:
+    axis.set_axis_off()
+
+# %%
+# How true the merged rates are
+# -----------------------------
+# A ramp over five decades: the merged rate over the true one, and what one exposure alone gives. The shortest
+# drowns dark parts in noise, the longest is full in bright ones.
+
+ramp = gs.chart("ramp", size=(256, 64), decades=5, luminance=3e4)
+silent = gs.Simulator(camera.with_(photon="none", read_e=0, dark_current_e_per_s=0, prnu=0, dsnu_e=0))
+taken = gs.bracket(simulate, ramp, (0, 4, 8), seed=3)
+true = silent.expose(ramp, taken[-1].exposure_time)
+rates = np.asarray(silent.device.numpy(true.mean)) / true.exposure_time
+sensor = camera.sensor
+
+figure, axis = plt.subplots(figsize=(8, 3.4), layout="constrained")
+together = gs.merge_bracket(simulate, taken)
+curves = [((frame.raw.astype(float) - sensor.black_level) / sensor.gain_dn_per_electron / frame.exposure_time,
+           f"{1e3 * frame.exposure_time:.3g} ms") for frame in (taken[0], taken[-1])]
+for found, label in (*curves, (together.mean / together.exposure_time, "three, merged")):
+    axis.semilogx(rates[::2, ::2].mean(0), (found / rates)[::2, ::2].mean(0), label=label)
+axis.set(xlabel="electrons per second", ylabel="found over true, mean of 32 pixels", ylim=(0.5, 1.5))
+axis.legend(frameon=False)
+
+# %%
+# Burst
+# -----
+# Eight frames of 5 ms while a hand shakes, aligned and averaged, against one of 40 ms that is blurred by the same hand.
+
+hand = gs.Motion(shake=4.0, seed=2)
+dim = gs.picture(data.coffee()[60:260, 100:400], luminance=15)
+steady = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=5, scaling="normalised"))
+burst = [steady(dim.viewed(hand.at(number * 0.005)), seed=4, frame=number) for number in range(8)]
+slow = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=40, scaling="normalised"))
+blurred = next(slow.shoot(gs.expose_motion(slow, dim, hand), seed=4))
+
+figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
+for axis, (frame, title) in zip(axes, ((burst[0], "one of 5 ms"), (blurred, "one of 40 ms"),
+                                       (gs.merge_burst(steady, burst), "eight of 5 ms, merged")), strict=True):
+    axis.imshow(frame.rgb)
+    axis.set_title(title)
+    axis.set_axis_off()

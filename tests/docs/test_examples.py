@@ -1,0 +1,38 @@
+"""Every example of the gallery runs by itself, makes figures, warns of nothing, and takes 30 s of two cores at most."""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'gpusim[plot]'")
+EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples").glob("*.py"))
+CORES, SECONDS = 2, 30
+RUN = """
+import matplotlib, runpy, sys
+matplotlib.use("Agg")
+from matplotlib import pyplot
+runpy.run_path(sys.argv[1], run_name="__main__")
+for number in pyplot.get_fignums():
+    pyplot.figure(number).savefig(f"{number}.png", dpi=50)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path, tmp_path):
+    """Processor time, which other work on the machine does not change."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-W", "error::DeprecationWarning:__main__",
+                           "-c", RUN, str(path)], cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert sum(getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime")) <= CORES * SECONDS
+    figures = sorted(tmp_path.glob("*.png"))
+    assert figures and [file.suffix for file in tmp_path.iterdir()] == [".png"] * len(figures)  # and leaves no files
+
+
+def test_there_are_examples():
+    assert len(EXAMPLES) >= 7
