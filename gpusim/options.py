@@ -20,7 +20,7 @@ def scene_of(arguments, name: str | None = None):
     return open_scene(arguments.scene if name is None else name, size=arguments.size, light=arguments.light,
                       luminance=arguments.luminance, bands=bands, border=arguments.border,
                       samples_per_pixel=arguments.samples_per_pixel, fov=arguments.fov, depth=arguments.depth,
-                      wavelengths=arguments.wavelengths, kind=arguments.kind)
+                      wavelengths=arguments.wavelengths, kind=arguments.kind, scale=arguments.scale)
 
 
 def operated(camera, arguments):
@@ -121,13 +121,14 @@ def add_asked(command, several: bool = False):
     more = "; several, or a folder of numbered ones: a frame of each" if several else ""
     command.add_argument("scene", metavar="SCENE", **({"nargs": "+"} if several else {}), help="a chart (colorchecker, "
                          "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, "
-                         f"planes .tif, photograph .png, .jpg or .tif{more}")
+                         f"ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif{more}")
     command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
     command.add_argument("--device", default="auto", help=DEVICE_HELP)
     command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
     command.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")
     command.add_argument("--strict", action="store_true", help="refuse a tolerance that is not predicted to be met")
-    command.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart (default: 768x512)")
+    command.add_argument("--size", type=size, metavar="COLSxROWS", help="of a chart, or of the patches "
+                         "of a .csv (default: 768x512)")
     command.add_argument("--samples-per-pixel", type=float, metavar="S", help="scene samples along a pixel, at least "
                           "1: a chart is drawn that much finer, a file gives a frame that much smaller (default: the "
                           "scene's, 1)")
@@ -137,10 +138,15 @@ def add_asked(command, several: bool = False):
     _add_operation(command)
     command.add_argument("--band", action="append", default=[], metavar="NAME=NM",
                           help="wavelength of an .exr channel that is not named by it; may be repeated")
-    command.add_argument("--wavelengths", type=_wavelengths, metavar="NM", help="of the planes of a .tif: "
-                         "FIRST:LAST:STEP, such as 400:700:10, or all of them, such as 450,550,650")
-    command.add_argument("--kind", choices=("reflectance", "radiance"), help="what these planes hold (default: "
-                         "reflectance, of whole numbers the largest is 1; radiance is in W m-2 sr-1 nm-1)")
+    command.add_argument("--wavelengths", type=_wavelengths, metavar="NM", help="of the planes of a .tif or .npy, or "
+                         "of an ENVI file's bands: FIRST:LAST:STEP, such as 400:700:10, or all of them, such as "
+                         "450,550,650")
+    command.add_argument("--kind", choices=("reflectance", "radiance"), help="what these planes, or the spectra of a "
+                         ".csv, hold (default: reflectance, or what an ENVI header says; radiance is in "
+                         "W m-2 sr-1 nm-1)")
+    command.add_argument("--scale", type=_positive("a number above 0", 1e30), metavar="N", help="the number that "
+                         "stands for 1 in these files, such as 100 of per cents (default: 1, the largest of uint8 and "
+                         "uint16, or what an ENVI header says)")
     command.add_argument("--fov", type=_fov, metavar="DEGREES", help="horizontal field of view of the scene "
                          "(default: the file's, or what the camera sees)")
     command.add_argument("--depth", choices=("axis", "ray", "none"), default="axis", help="distances of an .exr's "

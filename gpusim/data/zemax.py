@@ -5,10 +5,9 @@ import re
 import numpy as np
 
 from gpusim.data.traced import Traced, spread_of
-from gpusim.domain.errors import BadData, BadFile, shown
-from gpusim.domain.memory import require_memory
+from gpusim.domain.errors import BadData, shown
 from gpusim.domain.psf import PointSpread
-from gpusim.io.files import file_size, named, open_file, reading
+from gpusim.io.files import named, read_text, reading
 
 WHAT = "a text listing of Zemax's Huygens PSF or FFT PSF"
 LONGEST = 2**26  # [byte]: a grid of 2048 x 2048
@@ -41,7 +40,7 @@ def read_zemax_psf(paths, corner: float | None = None, reference: float | None =
 
 
 def _listing(path) -> Traced:
-    text = _text(path)
+    text = read_text(path, WHAT, LONGEST, older=True, cost=COST).replace("\r\n", "\n")
     with named(path):
         if not re.search(r"(?:Huygens|FFT) PSF", text[:2000], re.I):
             raise BadData(f"not {WHAT}")
@@ -67,21 +66,6 @@ def _listing(path) -> Traced:
         # the first line is the top one
         return Traced(round(float(first) * _unit(unit) * 1e9, 6), values[::-1], spacing, (rows - 1 - row, col),
                       (float(x) * scale, float(y) * scale), field)
-
-
-def _text(path):
-    """The file's text: UTF-16 or UTF-8 as OpticStudio writes it, or Windows' letters of older versions."""
-    with open_file(path) as file, reading(path, WHAT):
-        require_memory(f"{path}: a text", COST * min(file_size(file), LONGEST))
-        data = file.read(LONGEST + 1)
-    if len(data) > LONGEST:
-        raise BadFile(path, f"more than {LONGEST >> 20} MiB: longer than it can sensibly be")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", "replace").replace("\r\n", "\n")
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", "replace").replace("\r\n", "\n")
 
 
 def _found(pattern, head, what):

@@ -65,11 +65,7 @@ class Archive(Mapping):
                                      f"{info.compress_size} in a file of {self._size}")
         with self._zip.open(info) as stream:
             head = io.BytesIO(stream.read(LONGEST_HEADER))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
-            long = np.lib.format.read_magic(head) != (1, 0)
-            header = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
-            shape, fortran, dtype = header(head)
+        shape, fortran, dtype = array_header(head)
         member = _Member(info, shape, dtype, fortran, head.tell())
         if dtype.kind not in "biufcUS" or dtype.subdtype:
             raise BadFile(self.path, f"{what} holds {dtype}: not {WHAT}")
@@ -133,6 +129,18 @@ class Archive(Mapping):
         """Raise DoesNotFit unless all arrays fit as stored, with `copies` of their numbers as float64 beside."""
         needed = sum(member.nbytes + 8 * copies * math.prod(member.shape) for member in self._members.values())
         require_memory(f"{self.path}: {len(self)} arrays", math.ceil(needed))
+
+
+def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether the first axis is the fastest, and type of an array (.npy); `head` is left at its numbers.
+
+    head: its first LONGEST_HEADER bytes. Raises whatever NumPy does on damaged ones.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        long = np.lib.format.read_magic(head) != (1, 0)
+        header = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
+        return header(head)
 
 
 class _Bounded:

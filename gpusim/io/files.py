@@ -50,14 +50,25 @@ def file_size(file) -> int:
     return os.fstat(file.fileno()).st_size
 
 
-def read_text(path, what: str, longest: int = LONGEST_TEXT) -> str:
-    """Read a text in UTF-8, with or without a byte-order mark. what: as in `reading`. Raises BadFile, DoesNotFit."""
+def read_text(path, what: str, longest: int = LONGEST_TEXT, *, older: bool = False, cost: int = TEXT_COST) -> str:
+    """Read a text in UTF-8, with or without a byte-order mark.
+
+    what: as in `reading`. longest: [byte]. older: read UTF-16 with its mark as well, and Windows' letters where it is
+    not UTF-8. cost: [byte] that its parser takes per byte. Raises BadFile, DoesNotFit.
+    """
     with open_file(path) as file, reading(path, what):
-        require_memory(f"{path}: a text", TEXT_COST * min(file_size(file), longest))
+        require_memory(f"{path}: a text", cost * min(file_size(file), longest))
         data = file.read(longest + 1)  # files of the system are longer than they say
         if len(data) > longest:
             raise BadFile(path, f"more than {longest / 2**20:g} MiB: longer than it can sensibly be")
-        return data.decode("utf-8-sig")
+        if older and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return data.decode("utf-16", "replace")
+        try:
+            return data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            if older:
+                return data.decode("cp1252", "replace")
+            raise
 
 
 @contextmanager

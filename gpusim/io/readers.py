@@ -8,15 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.domain.content import Cube
-from gpusim.domain.errors import BadFile, OutOfRange, UnknownName, shown
+from gpusim.domain.errors import LONGEST_PATH, BadFile, OutOfRange, UnknownName, one_line, shown
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
 from gpusim.io.depth import axial
+from gpusim.io.envi import read_envi
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
+from gpusim.io.npy import read_npy
 from gpusim.io.npz import read_npz
 from gpusim.io.photo import lift, read_photo
 from gpusim.io.scene_exr import scene_parts
+from gpusim.io.spectra import patches, read_spectra
+from gpusim.io.stacks import check_reflectances, checked_scale, light
 from gpusim.io.tiff import SUFFIXES as TIFF
 from gpusim.io.tiff import read_stack
 
@@ -31,10 +35,12 @@ class Reader:
         sr-1 nm-1] where the file does not know its light. It gets the options that are given, no others.
     options: names of those of `open_scene` that it takes; others are refused. `depth` is two: "ray", of which the
         value is the field of view [rad], and "no_depth", which is not refused where files have no depth.
+    in_folders: whether such files of a folder are scenes; tables of numbers beside pictures are not.
     """
 
     read: Callable[..., Scene]
     options: tuple[str, ...] = ()
+    in_folders: bool = True
 
 
 def taken(name, options: tuple[str, ...], given: dict) -> dict:
@@ -47,7 +53,7 @@ def taken(name, options: tuple[str, ...], given: dict) -> dict:
             takers = (["charts"] if option in CHARTS_TAKE else []) + [
                 suffix for suffix, reader in READERS.items() if option in reader.options]
             key, value = ("depth", '"ray"') if option == "ray" else (option, shown(value))
-            raise OutOfRange(key, value, f"for {', '.join(takers)} only, not for {name}")
+            raise OutOfRange(key, value, f"for {', '.join(takers)} only, not for {one_line(name, LONGEST_PATH)}")
     return {option: value for option, value in given.items() if option in options}
 
 
@@ -87,13 +93,45 @@ def _photo(path, white):
         return Scene(content, white, name=path.stem)
 
 
-def _tiff(path, white, wavelengths=None, kind=None):
+def _tiff(path, white, wavelengths=None, kind=None, scale=None):
     if wavelengths is not None:
         wavelengths = checked_wavelengths(wavelengths)
-        return of_planes(path, white, wavelengths, read_stack(path, len(wavelengths)), checked_kind(kind))
-    if kind is not None:
-        raise OutOfRange("kind", kind, "with wavelengths only")
+        values = read_stack(path, len(wavelengths), checked_scale(scale))
+        return of_planes(path, white, wavelengths, values, checked_kind(kind))
+    if kind is not None or scale is not None:
+        raise OutOfRange(*(("scale", scale) if kind is None else ("kind", kind)), "with wavelengths only")
     return _photo(path, white)
+
+
+def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
+    wavelengths = None if wavelengths is None else checked_wavelengths(wavelengths)
+    held = read_envi(path, wavelengths, kind and checked_kind(kind), checked_scale(scale))
+    if held.values.ndim == 2:
+        return of_spectra(path, white, held.wavelengths, held.values.T, held.kind, size, held.notes)
+    if size is not None:
+        raise OutOfRange("size", shown(size), f"for charts and libraries of spectra; {path} has its own size")
+    return of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
+
+
+def _npy(path, white, wavelengths=None, kind=None, scale=None):
+    if wavelengths is None:
+        raise BadFile(path, "an array does not say its wavelengths; say them [nm], such as --wavelengths 400:700:10")
+    wavelengths, kind, scale = checked_wavelengths(wavelengths), checked_kind(kind), checked_scale(scale)
+    values, notes = read_npy(path, len(wavelengths), scale)
+    if kind == "reflectance" and scale is None:
+        check_reflectances(path, values)
+    return of_planes(path, white, wavelengths, values, kind, notes)
+
+
+def _csv(path, white, kind=None, scale=None, size=None):
+    kind, scale = checked_kind(kind), checked_scale(scale)
+    wavelengths, spectra = read_spectra(path)
+    with np.errstate(over="ignore"):
+        spectra = spectra / (scale or 1.0)
+    notes = light(path, spectra)
+    if kind == "reflectance" and scale is None:
+        check_reflectances(path, spectra)
+    return of_spectra(path, white, wavelengths, spectra, kind, size, notes)
 
 
 def checked_wavelengths(wavelengths) -> np.ndarray:
@@ -120,16 +158,30 @@ def of_planes(path, white, wavelengths, values, kind, notes=()) -> Scene:
 
     kind: reflectances [1] in the light of `white`, or radiance [W m-2 sr-1 nm-1]. Raises BadFile, naming the file.
     """
-    illuminated = white
     if kind == "radiance":
-        values *= (wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED))[:, None, None].astype(np.float32)
-        illuminated = unit_light(wavelengths)
+        values *= photons(wavelengths)[:, None, None].astype(np.float32)
+        white = unit_light(wavelengths)
     with named(path):
-        return Scene(Cube(wavelengths, values), illuminated, name=path.stem, notes=tuple(notes))
+        return Scene(Cube(wavelengths, values), white, name=path.stem, notes=tuple(notes))
+
+
+def of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) -> Scene:
+    """A scene of patches that show spectra, (spectra, L). kind, errors: as of `of_planes`; size: as of `patches`."""
+    if kind == "radiance":
+        spectra, white = spectra * photons(wavelengths), unit_light(wavelengths)
+    return patches(path, wavelengths, np.asarray(spectra, np.float64), white, size, notes)
+
+
+def photons(wavelengths):
+    """How many there are in a joule at each wavelength [nm]."""
+    return wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED)
 
 
 CHARTS_TAKE = ("size",)
+PLANES = ("wavelengths", "kind", "scale")
 READERS = {".exr": Reader(_exr, ("bands", "ray", "no_depth")), ".npz": Reader(_npz, ("no_depth",)),
-           **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
-           **dict.fromkeys(TIFF, Reader(_tiff, ("wavelengths", "kind")))}
+           **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)), **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
+           ".hdr": Reader(_envi, (*PLANES, "size")), ".npy": Reader(_npy, PLANES),
+           ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False)}
 SUFFIXES = tuple(READERS)
+IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_folders)

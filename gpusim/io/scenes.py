@@ -26,16 +26,22 @@ LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not kno
 
 
 def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
-               samples_per_pixel=None, depth="axis", wavelengths=None, kind=None) -> Scene:
-    """Open a built-in chart (`CHARTS`) or a scene file: .exr, .npz, a photograph .png, .jpg, .tif, or planes, .tif.
+               samples_per_pixel=None, depth="axis", wavelengths=None, kind=None, scale=None) -> Scene:
+    """Open a built-in chart (`CHARTS`) or a scene file.
 
-    size: columns and rows of the frame of a chart [pixel]; a file has its own size.
+    Files are .exr, .npz, ENVI's .hdr (beside its raw file), a photograph .png, .jpg or .tif, planes .tif or .npy, or
+    spectra .csv, which become patches. Options that a chart, or a kind of files, has no use for are refused.
+
+    size: columns and rows of the frame of a chart or of patches [pixel]; other files have their own size.
     light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
         in the light; where the light is not known, the mean over the scene instead. Without them a scene keeps the
         light that it has; reflectances and photographs alone get D65 with white at 100 cd m-2.
     bands: {channel: wavelength [nm]} of an .exr whose channels are not named by wavelength.
-    wavelengths: [nm], strictly ascending, of the planes of a .tif (pages, or channels of a page). kind: what they hold,
-        "reflectance", as without it, or "radiance" [W m-2 sr-1 nm-1]; of whole numbers the largest stands for 1.
+    wavelengths: [nm], strictly ascending, of the planes of a .tif (pages, or channels of a page) or .npy, (L, rows,
+        cols) or (rows, cols, L), or of an ENVI file's bands, in exchange for its own.
+    kind: what planes or spectra hold: "reflectance", as without it unless an ENVI header says else, or "radiance"
+        [W m-2 sr-1 nm-1]. scale: the number in the file that stands for 1; by default 1 of floats, the largest of uint8
+        and uint16, and what an ENVI header says.
     border, fov [rad]: as in Scene, in exchange for the scene's own.
     samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
         file keeps its samples, they make fewer pixels.
@@ -46,7 +52,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     """
     path = Path(name_or_path)
     check_depth(depth, fov)
-    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind,
+    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind, "scale": scale,
              "ray": fov if depth == "ray" else None, "no_depth": depth == "none" or None}
     given = {name: value for name, value in given.items() if value is not None}
     if str(name_or_path) in CHARTS:

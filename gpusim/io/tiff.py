@@ -45,10 +45,10 @@ class Page:
     alpha: int
 
 
-def read_stack(path, count: int) -> np.ndarray:
+def read_stack(path, count: int, scale: float | None = None) -> np.ndarray:
     """Read `count` planes, one a page or several channels of a page, as float32 (L, rows, cols).
 
-    Whole numbers are parts of the largest of their type, so that white is 1; floats are as they are.
+    scale: the number that stands for 1; without it the largest of whole numbers, so that white is 1, and 1 of floats.
     Raises BadFile, DoesNotFit.
     """
     with _opened(path) as (pages, stored):
@@ -69,8 +69,10 @@ def read_stack(path, count: int) -> np.ndarray:
             with np.errstate(over="ignore"):  # what is infinite then is refused
                 values[start:start + len(planes)] = planes
             start += len(planes)
-    if first.dtype.kind == "u":
-        values /= np.float32(np.iinfo(first.dtype).max)
+    if scale is None:
+        scale = np.iinfo(first.dtype).max if first.dtype.kind == "u" else 1.0
+    with np.errstate(over="ignore"):
+        values /= np.float32(scale)
     _check(path, values)
     return values
 

@@ -110,13 +110,15 @@ def _counted(samples, bar):
 
 def _photographs(arguments):
     """Files that are given, those of folders in the order of their names. Raises BadFile."""
-    from gpusim.io.scenes import SUFFIXES
+    from gpusim.io.readers import IN_FOLDERS
 
     found = []
     for name in map(Path, arguments.scene):
-        inside = sorted(path for path in name.iterdir() if path.suffix.lower() in SUFFIXES) if name.is_dir() else [name]
+        inside = [name]
+        if name.is_dir():
+            inside = sorted(path for path in name.iterdir() if path.suffix.lower() in IN_FOLDERS)
         if not inside:
-            raise BadFile(name, f"no scene files in it; wanted {', '.join(SUFFIXES)}")
+            raise BadFile(name, f"no scene files in it; wanted {', '.join(IN_FOLDERS)}")
         found += inside
     return found
 

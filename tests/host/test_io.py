@@ -263,7 +263,7 @@ def test_charts_by_name():
 def test_arguments_that_do_not_apply(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, **GOOD)
-    with fails(OutOfRange, "size", "for charts only"):
+    with fails(OutOfRange, "size", "for charts, .hdr, .csv only"):
         open_scene(path, size=(4, 4))
     with fails(OutOfRange, "bands", ".exr"):
         open_scene(path, bands={"a": 500})

@@ -1,0 +1,101 @@
+"""Tables of spectra, .csv, and scenes of patches that show them."""
+
+import csv
+import io
+import math
+import re
+
+import numpy as np
+
+from gpusim.data.charts import checked_size
+from gpusim.domain.content import Materials
+from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.domain.memory import require_memory
+from gpusim.domain.scene import Scene
+from gpusim.io.files import named, read_text, reading
+
+LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
+MOST = 2**16 - 1  # spectra, and a dark one
+SIZE = (768, 512)  # columns and rows, those of charts
+BYTES_PER_SAMPLE = 24  # of ids and shading as they are drawn
+SHORTEST, LONGEST = 100, 1e5  # [nm] of what is believed to be wavelengths
+COLUMN = re.compile(r"wave|lambda|\bnm\b|um\b|[µμ]m", re.I)  # of a heading above wavelengths
+MICROMETRES = re.compile(r"um\b|_um|[µμ]m|micro", re.I)
+WANTED = ("wanted a table of numbers, wavelengths [nm] in the first column and a spectrum in each other one, or "
+          "wavelengths in the first line and a spectrum in each other one")
+
+
+def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a table of spectra: wavelengths [nm], float64 (L,), ascending, and the spectra, float64 (spectra, L).
+
+    The first column, or the first line, has the wavelengths; the other one may have names, which are left out.
+    Wavelengths are in nm, or in um where their heading says so. Cells are divided by commas, semicolons (numbers may
+    have decimal commas then) or tabs; lines that begin with # are comments. Raises BadFile, DoesNotFit.
+    """
+    text = read_text(path, "a CSV table", LONGEST_TABLE, older=True)
+    with reading(path, "a CSV table"):
+        lines = [line for line in text.splitlines() if line.strip(" \t,;") and not line.lstrip().startswith("#")]
+        divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
+        cells = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)]
+    if divider == ";":
+        cells = [[cell.replace(",", ".") for cell in row] for row in cells]
+    width = max(map(len, cells), default=0)
+    while width and not any(row[width - 1] for row in cells if len(row) >= width):
+        width -= 1  # empty columns at the end, of spreadsheets
+    if len(cells) < 2 or width < 2:
+        raise BadFile(path, f"{len(cells)} lines of {width} cells; {WANTED}")
+    if any(len(row) < width for row in cells):
+        raise BadFile(path, f"lines of {min(map(len, cells))} to {width} cells; {WANTED}")
+    numbers = np.array([[_number(cell) for cell in row[:width]] for row in cells])
+    scale = 1e3 if MICROMETRES.search(cells[0][0]) else 1.0
+    heading = int(np.isnan(numbers[0, 0]))  # of both axes, or of none: the cell where they meet
+    found = [(scale * table[heading:, 0], table[heading:, 1:].T)
+             for table in (numbers, numbers.T) if _are_wavelengths(scale * table[heading:, 0])]
+    if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
+        raise BadFile(path, ("both the first column and the first line could be wavelengths; " if found else "")
+                      + WANTED)
+    nm, spectra = found[0]
+    if not np.isfinite(spectra).all():
+        spectrum, band = np.argwhere(~np.isfinite(spectra))[0]
+        raise BadFile(path, f"spectrum {spectrum + 1} at {nm[band]:g} nm is no number; {WANTED}")
+    order = np.argsort(nm)
+    return nm[order], spectra[:, order]
+
+
+def _number(cell):
+    try:
+        return float(cell.removesuffix("nm"))
+    except ValueError:
+        return math.nan
+
+
+def _are_wavelengths(nm):
+    """Whether numbers can be wavelengths: in order, and where light is."""
+    steps = np.diff(nm)
+    return len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all()) and (
+        SHORTEST <= nm.min() <= nm.max() <= LONGEST)
+
+
+def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:
+    """A scene of patches, one for each spectrum, row by row from the top left; cells that are left over are dark.
+
+    spectra: (spectra, L), times `light`, a Spectrum. size: columns and rows of the frame [pixel], by default those of
+    charts. Raises OutOfRange, BadFile, DoesNotFit.
+    """
+    cols, rows = checked_size(size or SIZE)
+    count = len(spectra)
+    across = min(count, max(1, round(math.sqrt(count * cols / rows))))
+    down = -(-count // across)
+    if count > MOST:
+        raise BadFile(path, f"{count} spectra; at most {MOST} make a scene")
+    if across > cols or down > rows:
+        raise OutOfRange("size", f"{cols} x {rows}", f"at least {across} x {down} pixels, one for each spectrum")
+    require_memory(f"{path}: a picture of {cols} x {rows} pixels", BYTES_PER_SAMPLE * cols * rows)
+    ids = (np.arange(rows) * down // rows)[:, None] * across + np.arange(cols) * across // cols
+    np.minimum(ids, count, out=ids)
+    spectra = np.vstack([spectra, np.zeros((int(across * down > count), len(wavelengths)))])
+    said = f"{count} spectra as patches, {across} x {down}, row by row"
+    with named(path):
+        content = Materials(wavelengths, ids.astype(np.uint8 if len(spectra) < 257 else np.uint16),
+                            np.ones(ids.shape, np.float32), spectra)
+        return Scene(content, light, name=path.stem, notes=(said, *notes))

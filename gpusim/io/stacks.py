@@ -1,0 +1,82 @@
+"""Planes of a scene as instruments store them: numbers of any type, taken piece by piece as light in float32."""
+
+import numpy as np
+
+from gpusim.domain.content import NEGATIVE
+from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.domain.memory import require_memory
+
+PIECE = 2**22  # [byte] of stored numbers that are converted at once, or one row of all planes
+COPIES = 4  # of a piece: as stored, as float32, where it is ignored, and what an operation makes
+BRIGHTEST = 2.0  # mean of what is believed to be reflectances
+SAY_SCALE = "say the number that stands for 1: scale=10000 or --scale 10000, say"
+
+
+def checked_scale(scale) -> float | None:
+    """The number that stands for 1, as a user gives it; None: not given. Raises OutOfRange."""
+    if scale is None:
+        return None
+    try:
+        value = float(scale)
+    except (TypeError, ValueError, OverflowError):
+        value = np.nan
+    if not 1e-30 <= value <= 1e30:
+        raise OutOfRange("scale", scale, "the number that stands for 1, above 0")
+    return value
+
+
+def read_planes(path, view, *, scale: float, gains=None, offsets=None, ignored=None) -> tuple[np.ndarray, list[str]]:
+    """Planes float32 (L, rows, cols), not negative, and notes of what was not taken as it is.
+
+    view: the numbers, (L, rows, cols) of any real type, such as of a mapped file. They become (gain number + offset) /
+    scale. gains, offsets: of each plane, float64 (L,), or None. ignored: the number that stands for no data, which
+    becomes 0. So do small negative numbers, which are noise. Raises BadFile, naming the file, and DoesNotFit.
+    """
+    count, rows, cols = view.shape
+    step = max(1, PIECE // (count * cols * view.dtype.itemsize))
+    require_memory(f"{path}: {count} planes of {cols} x {rows} samples",
+                   4 * view.size + COPIES * count * min(step, rows) * cols * max(4, view.dtype.itemsize))
+    values, without = np.empty(view.shape, np.float32), 0
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite or NaN then is refused
+        for start in range(0, rows, step):
+            stored = np.asarray(view[:, start:start + step])
+            planes = values[:, start:start + step]
+            planes[:] = stored
+            if gains is not None:
+                planes *= gains[:, None, None].astype(np.float32)
+            if offsets is not None:
+                planes += offsets[:, None, None].astype(np.float32)
+            if scale != 1:
+                planes /= np.float32(scale)
+            if ignored is not None:
+                absent = np.isnan(stored) if ignored != ignored else stored == ignored
+                planes[absent] = 0
+                without += int(absent.any(0).sum())
+    notes = []
+    if without:
+        notes.append(f"no data in {100 * without / (rows * cols):.2g} % of the samples: dark")
+    return values, notes + light(path, values)
+
+
+def light(path, values) -> list[str]:
+    """Make noise below 0 to 0 in place; notes of it. values: float32 (L, ...). Raises BadFile for what is no light."""
+    low, high = float(values.min()), float(values.max())
+    if not np.isfinite([low, high]).all():
+        raise BadFile(path, "NaN or infinite values, or more than float32 holds")
+    if low < -NEGATIVE * max(high, 0):
+        raise BadFile(path, f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
+                            "with samples without data left out or named by the header")
+    if low >= 0:
+        return []
+    below = 0
+    for plane in values:
+        below += int(np.count_nonzero(plane < 0))
+        np.maximum(plane, 0, out=plane)
+    return [f"negative values, {100 * below / values.size:.2g} % of them, lowest {low:.3g}: taken as 0"]
+
+
+def check_reflectances(path, values):
+    """Raise BadFile where the mean is far above that of reflectances: the number that stands for 1 is another."""
+    mean = float(values.mean(dtype=np.float64))
+    if mean > BRIGHTEST:
+        raise BadFile(path, f"reflectances of mean {mean:.3g}; {SAY_SCALE}, or kind = \"radiance\"")
