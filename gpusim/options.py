@@ -120,7 +120,7 @@ def add_asked(command, several: bool = False):
     """Add the options of a scene before a camera, or of several scenes."""
     more = "; several, or a folder of numbered ones: a frame of each" if several else ""
     command.add_argument("scene", metavar="SCENE", **({"nargs": "+"} if several else {}), help="a chart (colorchecker, "
-                         "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, "
+                         "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, .mat, "
                          f"ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif{more}")
     command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
     command.add_argument("--device", default="auto", help=DEVICE_HELP)

@@ -15,6 +15,7 @@ from gpusim.io.depth import axial
 from gpusim.io.envi import read_envi
 from gpusim.io.exr import read_exr
 from gpusim.io.files import named
+from gpusim.io.iset import read_iset
 from gpusim.io.npy import read_npy
 from gpusim.io.npz import read_npz
 from gpusim.io.photo import lift, read_photo
@@ -85,6 +86,10 @@ def _exr(path, white, bands=None, ray=None, no_depth=False):
 def _npz(path, white, no_depth=False):
     scene = read_npz(path, white)
     return dataclasses.replace(scene, depth=None) if no_depth else scene
+
+
+def _iset(path, white, **options):
+    return read_iset(path, **options)
 
 
 def _photo(path, white):
@@ -180,6 +185,7 @@ def photons(wavelengths):
 CHARTS_TAKE = ("size",)
 PLANES = ("wavelengths", "kind", "scale")
 READERS = {".exr": Reader(_exr, ("bands", "ray", "no_depth")), ".npz": Reader(_npz, ("no_depth",)),
+           ".mat": Reader(_iset, ("ray", "no_depth")),
            **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)), **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
            ".hdr": Reader(_envi, (*PLANES, "size")), ".npy": Reader(_npy, PLANES),
            ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False)}

@@ -29,8 +29,9 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
                samples_per_pixel=None, depth="axis", wavelengths=None, kind=None, scale=None) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
-    Files are .exr, .npz, ENVI's .hdr (beside its raw file), a photograph .png, .jpg or .tif, planes .tif or .npy, or
-    spectra .csv, which become patches. Options that a chart, or a kind of files, has no use for are refused.
+    Files are .exr, .npz, ENVI's .hdr (beside its raw file), ISETCam's .mat, a photograph .png, .jpg or .tif, planes
+    .tif or .npy, or spectra .csv, which become patches. Options that a chart, or a kind of files, has no use for are
+    refused.
 
     size: columns and rows of the frame of a chart or of patches [pixel]; other files have their own size.
     light: name for `illuminant`, in exchange for the scene's own light. luminance [cd m-2]: of a perfect white diffuser
@@ -45,9 +46,9 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     border, fov [rad]: as in Scene, in exchange for the scene's own.
     samples_per_pixel: as in Scene, in exchange for the scene's own. A chart is drawn finer, its frame keeps its size; a
         file keeps its samples, they make fewer pixels.
-    depth: how to take an .exr's channel of distances [m] (Z, Depth.Z, depth.T ...): along the optical "axis", as
-        Blender writes them; along each pixel's "ray", as Mitsuba does (from its near_clip on), for which `fov` is
-        needed; "none": leave a file's depth.
+    depth: how to take distances [m], a channel of an .exr (Z, Depth.Z, depth.T ...) or a .mat's depthMap: along the
+        optical "axis", as Blender writes them; along each pixel's "ray", as Mitsuba does (from its near_clip on), for
+        which `fov` is needed; "none": leave a file's depth.
     Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
     path = Path(name_or_path)

@@ -106,7 +106,7 @@ def test_depth_refusals(tmp_path):
         open_scene(path, depth="ray")
     with refused("depth", "'rays'", "'ray'", error=UnknownName):
         open_scene(path, depth="rays")
-    with refused("for .exr only", error=OutOfRange):
+    with refused("for .exr, .mat only", error=OutOfRange):
         open_scene("flat", depth="ray", fov=1.0)
     write_channels(path, RGB)
     with refused(path, "no channel of depth", error=BadFile):
