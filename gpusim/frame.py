@@ -34,7 +34,8 @@ class Exposure:
     blur: of the lens as a Gaussian [pixel], shading: the correction's gains at its nodes, where the camera uses them.
     ms: milliseconds per stage that it took; wall_ms: in all, planning included. device: where the electrons are.
     is_rewritten: whether a program will write to these arrays again.
-    It is pickled with their values and the device's name, which is opened where it is loaded.
+    It is pickled with their values and the device's name, which is opened where it is loaded. `np.asarray` gives the
+    mean electrons.
     """
 
     plan: Plan
@@ -50,6 +51,9 @@ class Exposure:
     wall_ms: float = 0.0
     device: Device = dataclasses.field(default_factory=Device)
     is_rewritten: bool = False
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.mean, dtype, copy=copy)
 
     def __repr__(self):
         return shortened(f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
@@ -105,7 +109,8 @@ class Frame:
     blur, shading: as of the exposure. averaged: digital numbers whose mean a raw value is; None: it is of several
         exposures, whose noise is no matter of one gain.
     linear: linear display RGB, display white 1 (see `Processor.scaling`), before clipping and tone curve, float32
-        (rows, cols, 3), in memory plane by plane. rgb: display codes, uint8 (rows, cols, 3).
+        (rows, cols, 3), in memory plane by plane. rgb: display codes, uint8 (rows, cols, 3), which
+        `np.asarray` gives.
     """
 
     camera: Camera
@@ -119,6 +124,9 @@ class Frame:
     blur: float = 0.0
     shading: np.ndarray | None = None
     averaged: int | None = 1
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.rgb, dtype, copy=copy)
 
     def __repr__(self):
         made = {name: vars(self)[name] for name in ("raw", "rgb", "linear", "mean")}

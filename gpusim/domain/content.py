@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import prod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -211,13 +211,17 @@ class Content:
 class Cube(Content):
     """Spectral samples of every pixel: values (L, rows, cols) float32 at wavelengths (L,) [nm].
 
-    Values of float16 stay float16 on a device, half the memory and bus: exact to 2^-11 from 6.1e-5 on, to 3e-8 below;
-    scale a radiance into that range, and its light by as much. What is beyond 65504 would be infinite.
+    `np.asarray` gives them. Values of float16 stay float16 on a device, half the memory and bus: exact to 2^-11 from
+    6.1e-5 on, to 3e-8 below; scale a radiance into that range, and its light by as much. What is beyond 65504 would be
+    infinite.
     """
 
     values: np.ndarray
     form: ClassVar[str] = "cube"
     samples: ClassVar[tuple[str, ...]] = ("values",)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(to_host(self.values, self.form), dtype, copy=copy)
 
     @property
     def entry_spectra(self):
@@ -341,6 +345,7 @@ class Picture(Content):
     codes (rows, cols, K) uint8 or uint16, or (rows, cols) where K = 1: a device takes them as they are, and decodes
     them. basis (K, L), not negative, at wavelengths (L,) [nm]. curve: light of every code, not negative, float32 (256,)
     or (65536,). The host reads it as the Basis that it stands for (`on_host`), and what is made of its samples is one.
+    `np.asarray` gives the codes.
     """
 
     codes: np.ndarray
@@ -349,6 +354,9 @@ class Picture(Content):
     form: ClassVar[str] = "picture"
     samples: ClassVar[tuple[str, ...]] = ("codes",)
     shared: ClassVar[tuple[str, ...]] = ("basis", "curve")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(to_host(self.codes, self.form), dtype, copy=copy)
 
     def __post_init__(self):
         super().__post_init__()

@@ -1,6 +1,7 @@
 """Point spreads that are given as arrays, or by a formula other than diffraction."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,7 +23,7 @@ class PointSpread:
     field points on the side of growing columns, of a lens that is the same at every angle.
     grid: or the field points' rows and columns, in the same unit, two rising lists of Y and X: values
     (Y, X, L, rows, cols). Between field points, as between wavelengths, the spread is linear.
-    Raises BadData, OutOfRange.
+    `np.asarray` gives the values. Raises BadData, OutOfRange.
     """
 
     wavelengths: np.ndarray
@@ -34,6 +35,9 @@ class PointSpread:
     _axes: tuple = field(init=False, repr=False, default=())
 
     __repr__ = brief
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype, copy=copy)
 
     def __post_init__(self):
         wavelengths, values = np.asarray(self.wavelengths, np.float64), np.asarray(self.values, np.float64)

@@ -1,6 +1,7 @@
 """A function of wavelength, tabulated."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ class Spectrum:
     """One or more functions of wavelength on one table, linear between its entries.
 
     wavelengths: [nm], strictly increasing, shape (L,), L >= 2.
-    values: shape (L,) for one function, (N, L) for N of them; the unit is the user's.
+    values: shape (L,) for one function, (N, L) for N of them; the unit is the user's. `np.asarray` gives them.
     Raises BadData for unsorted wavelengths or such as are not light, wrong shapes, NaN or infinities.
     """
 
@@ -43,6 +44,9 @@ class Spectrum:
             raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
         object.__setattr__(self, "wavelengths", wavelengths)
         object.__setattr__(self, "values", values)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype, copy=copy)
 
     def __repr__(self):
         name, curves = f"{self.name!r}, " if self.name else "", len(np.atleast_2d(self.values))
