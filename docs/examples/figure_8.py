@@ -42,8 +42,8 @@ for defocus, (above, below) in zip((0, 10, 40), axes.T, strict=True):
     above.imshow(gs.Simulator(camera.with_(defocus_um=defocus))(photograph, seed=1).rgb)
     above.set_title(f"{defocus} µm from focus")
     above.set_axis_off()
-    linear = np.asarray(gs.Simulator(silent.with_(defocus_um=defocus))(edge).linear)
-    response = sfr(np.tensordot(luminance, linear, (0, linear.shape.index(3))), pitch=1.4e-6)
+    linear = gs.Simulator(silent.with_(defocus_um=defocus))(edge).linear
+    response = sfr(linear @ luminance, pitch=1.4e-6)
     within = response.frequencies <= 0.5
     below.plot(response.per_mm[within], response.response[within], "k")
     below.plot(response.per_mm[within], lens_and_pixel(response.per_mm[within], defocus), "k--", linewidth=0.8)

@@ -46,8 +46,7 @@ for axis, frame in zip(axes.flat, frames, strict=False):
     full = (frame.raw >= 1023).mean()
     axis.imshow(frame.rgb)
     axis.set_title(f"{1e3 * frame.exposure_time:.3g} ms: {100 * full:.0f} % of the pixels are full")
-planes = np.asarray(merged.linear)
-axes[1, 1].imshow(toned(planes if planes.shape[-1] == 3 else np.moveaxis(planes, 0, -1)))
+axes[1, 1].imshow(toned(merged.linear))
 axes[1, 1].set_title("merged, with a tone curve")
 for axis in axes.flat:
     axis.set_axis_off()

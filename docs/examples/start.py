@@ -32,9 +32,8 @@ figure, axes = plt.subplots(1, 3, figsize=(10, 2.7), layout="constrained")
 shown = axes[0].imshow(frame.mean, cmap="viridis")
 figure.colorbar(shown, ax=axes[0], label="e⁻", shrink=0.6)
 axes[0].set_title("electrons, without noise")
-part = frame.raw[60:120, 90:180]  # a mosaic: neighbours have different colours
-axes[1].imshow(part, cmap="gray", interpolation="nearest")
-axes[1].set_title("digital numbers, a part")
+gs.plot.raw(frame, axes[1])  # each pixel in its filter's colour
+axes[1].set(title="digital numbers, a part", xlim=(150, 215), ylim=(120, 78))
 axes[2].imshow(frame.rgb)
 axes[2].set_title("the picture")
 for axis in axes:
