@@ -19,6 +19,7 @@ import zlib
 from contextlib import contextmanager
 from pathlib import Path
 
+import mat_mutations
 import mutations
 import numpy as np
 import picture_mutations
@@ -36,15 +37,17 @@ from gpusim.io.scenes import open_scene
 from gpusim.l3.layout import layout
 
 SEEDS = (1, 2, 3)  # of the kept runs
-READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile")
+READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile",
+           "mat", "mat73")
 WAVES = np.array([400.0, 500.0, 650.0])
 SUFFIXES = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif",
-            "calibration": ".yaml", "profile": ".dng"}  # others read .npz
+            "calibration": ".yaml", "profile": ".dng", "mat": ".mat", "mat73": ".mat"}  # others read .npz
 READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibration": read_calibration,
         "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES)}  # others open scenes
 MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
           "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
-          "planes": picture_mutations.tiff, "profile": picture_mutations.tiff}  # others see Inputs.make
+          "planes": picture_mutations.tiff, "profile": picture_mutations.tiff,
+          "mat": mat_mutations.version_5, "mat73": mat_mutations.version_7_3}  # others see Inputs.make
 PEAK = Path("/proc/self/clear_refs")
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
@@ -199,6 +202,8 @@ class Inputs:
             self.good, self.lines = good_texts(reader)
         elif reader == "profile":
             self.good = [good_profile(np.random.default_rng(7))]
+        elif reader in ("mat", "mat73"):
+            self.good = mat_mutations.good(reader)
         elif reader in ("exr", "png", "jpg", "tiff", "planes"):
             self.good = good_pictures(reader, folder)
         else:

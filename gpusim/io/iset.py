@@ -75,23 +75,25 @@ class _File:
 
     def only_object(self) -> Value:
         """The one struct with photons, whatever its name."""
-        names = [name for name in self.root.names if (value := self.root.get(name)) is not None
-                 and value.get("data", "photons") is not None]
-        if len(names) == 1:
-            return self.root.get(names[0])
-        raise BadFile(self.path, (f"several structs with data.photons ({', '.join(names)})" if names else
+        found = {name: value for name in self.root.names if (value := self.root.get(name)) is not None
+                 and value.get("data", "photons") is not None}
+        if len(found) == 1:
+            return found.popitem()[1]
+        raise BadFile(self.path, (f"several structs with data.photons ({', '.join(found)})" if found else
                                   f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}")
                       + f"; wanted one, {SAVE}, or a multispectral file")
 
     def of_object(self, value, ray, no_depth):
         """A scene of ISETCam's scene or optical image."""
-        kind = "nothing" if value is None else self.text(value, "type", SCENE).lower()
-        if value is None or value.kind != "struct" or kind not in (SCENE, OPTICAL_IMAGE):
-            what = "an empty scene" if value is None else f"{value.label}: {value.kind} of type {kind!r}"
+        if value is None or value.kind != "struct":
+            what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
             raise BadFile(self.path, f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}")
+        kind = self.text(value, "type", SCENE).lower()
+        if kind not in (SCENE, OPTICAL_IMAGE):
+            raise BadFile(self.path, f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}")
         data = value.get("data")
         if data is None or data.get("photons") is None:
-            raise BadFile(self.path, f"{value.label}: no data.photons, as of a {kind} that is not yet computed")
+            raise BadFile(self.path, f"{value.label}: no data.photons; wanted it computed before it is saved")
         content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
         distances = None
         if kind == OPTICAL_IMAGE:

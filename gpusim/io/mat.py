@@ -139,14 +139,16 @@ class _Root(Value):
                                     f"packed in {length}")
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
-        return self._inflated(start, length, 8 + wanted)[8:] if packed else self._stored(start, wanted)
+        if not packed:
+            return self._stored(start, wanted)
+        return self._inflated(start, length, 8 + wanted, to_end=wanted == unpacked)[8:]
 
     def _stored(self, start, length):
         self.file.seek(start)
         return memoryview(self.file.read(length))
 
-    def _inflated(self, start, length, wanted):
-        """The first `wanted` bytes of what is packed in `length` from `start` on."""
+    def _inflated(self, start, length, wanted, to_end=False):
+        """The first `wanted` bytes of what is packed in `length` from `start` on. to_end: there should be no more."""
         self.file.seek(start)
         stream, whole, filled = zlib.decompressobj(), memoryview(bytearray(wanted)), 0
         while filled < wanted:
@@ -159,6 +161,10 @@ class _Root(Value):
                 raise EOFError("packed numbers end early")
             whole[filled:filled + len(piece)] = piece
             filled += len(piece)
+        if to_end:  # where its check sum is
+            stream.decompress(stream.unconsumed_tail + self.file.read(min(PIECE, length)), 1)
+            if not stream.eof:
+                raise EOFError("more is packed than declared, or the check sum is missing")
         return whole
 
 

@@ -48,8 +48,9 @@ class _Item(Value):
             if len(item) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} names in {label}")
             kind = "struct" if of in ("struct", "") else f"no plain array of class {of}"
-            names = tuple(name for name in item if not name.startswith(HIDDEN)) if kind == "struct" else ()
-            super().__init__(path, label, kind, (1, 1), names)
+            names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]  # bytes: not UTF-8
+            super().__init__(path, label, kind, (1, 1), tuple(
+                name for name in names if not name.startswith(HIDDEN)) if kind == "struct" else ())
             return
         if not isinstance(item, h5py.Dataset):
             raise ValueError(f"{label} is neither a group nor a data set")

@@ -102,6 +102,7 @@ FILES = [path for pattern in ("test*_[67].*.mat", "*_endian.mat", "parabola.mat"
 
 
 @pytest.mark.skipif(not FILES, reason="SciPy is installed without its tests, which have files of MATLAB")
+@pytest.mark.filterwarnings("ignore::numpy.exceptions.ComplexWarning")  # of SciPy, which drops imaginary parts
 def test_matlabs_files_are_read_as_scipy_reads_them():
     """Versions 6.1 (Solaris: the other order of bytes), 6.5.1, 7.1 and 7.4."""
     assert len(FILES) > 40
@@ -111,6 +112,13 @@ def test_matlabs_files_are_read_as_scipy_reads_them():
             assert set(root.names) - {""} == {name for name in theirs if name[0] != "_"}, path.name
             for name in set(root.names) - {""}:
                 assert same(root.get(name), theirs[name]), (path.name, name, root.get(name).kind)
+
+
+@pytest.mark.skipif(not FILES, reason="SciPy is installed without its tests, which have files of MATLAB")
+@pytest.mark.parametrize("name", ["corrupted_zlib_checksum", "corrupted_zlib_data", "malformed1", "debigged_m4"])
+def test_matlabs_damaged_files_are_refused(name):
+    with refused(name, error=BadFile):
+        gs.open_scene(MATLABS / f"{name}.mat")
 
 
 @pytest.mark.skipif(not (MATLABS / "testhdf5_7.4_GLNX86.mat").exists(), reason="SciPy is installed without its tests")
@@ -285,7 +293,7 @@ def test_photons_as_they_are(saved, names):
 
 
 @pytest.mark.parametrize("change, parts", [
-    ({"type": "sensor"}, "type 'sensor'"), ({"type": "opticalimage"}, "without optics.fNumber"),
+    ({"type": "sensor"}, "of type 'sensor'"), ({"type": "opticalimage"}, "without optics.fNumber"),
     ({"type": "opticalimage", "optics": {"fNumber": -4.0}}, "optics.fNumber = -4"), ({"data": {}}, "no data.photons"),
     ({"data": {"photons": SURFACES[..., :5]}}, "shape (6, 7, 5), wanted (rows, cols, 31)"),
     ({"data": {"photons": SURFACES[..., 0]}}, "wanted (rows, cols, 31)"), ({"spectrum": {}}, "no wavelengths"),

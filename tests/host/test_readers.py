@@ -10,6 +10,7 @@ import zipfile
 import zlib
 
 import fuzz
+import mat_mutations
 import numpy as np
 import pytest
 from picture_mutations import png_of
@@ -62,7 +63,11 @@ def large(folder, name):
     elif name == "planes.tif":
         tifffile.imwrite(path, planes, photometric="minisblack")
     elif name == "rgb.exr":
-        write_rgb_exr(path, planes[:3])
+        write_rgb_exr(path, np.moveaxis(planes[:3], 0, -1))
+    elif path.suffix == ".mat":
+        variables = {"scene": {"data": {"photons": np.moveaxis(planes, 0, -1)}, "spectrum": {"wave": waves},
+                               "illuminant": {"data": {"photons": np.ones(31)}}}}
+        path.write_bytes((mat_mutations.saved_73 if name == "7.3.mat" else mat_mutations.saved_5)(variables))
     else:
         gs.save_scene(cube, path, half=name == "half.exr")
     return path, {"wavelengths": waves} if name == "planes.tif" else {}
@@ -70,7 +75,7 @@ def large(folder, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["8.png", "16.png", "8.jpg", "16.tif", "planes.tif", "rgb.exr", "cube.exr", "half.exr",
-                                  "cube.npz"])
+                                  "cube.npz", "5.mat", "7.3.mat"])
 def test_whole_files_take_the_memory_that_was_estimated(name, tmp_path):
     """Or less: what is estimated to fit does fit."""
     path, options = large(tmp_path, name)
