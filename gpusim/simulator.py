@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import replace
 from operator import is_
+from typing import overload
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, noted
@@ -100,8 +101,22 @@ class Simulator:
         return stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
                       meters_late=meters_late)
 
-    def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame:
-        """One frame of `scene`; see `frames`."""
+    @overload
+    def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame: ...
+
+    @overload
+    def __call__(self, scene: Iterable[Scene], *, seed: int = 0, frame: int = 0,
+                 verify: bool = False) -> Iterator[Frame]: ...
+
+    def __call__(self, scene, *, seed=0, frame=0, verify=False):
+        """One frame of `scene`, of number `frame`; see `frames`.
+
+        Of several scenes, a list or what gives them one by one, an iterator of one frame of each, numbered from `frame`
+        on: each is made when it is asked for, and is what its scene and number give by themselves. `stream` is faster
+        where their arrays are enough.
+        """
+        if isinstance(scene, Iterable) and not isinstance(scene, str):
+            return (self(one, seed=seed, frame=number, verify=verify) for number, one in enumerate(scene, frame))
         return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify))
 
     def frames(self, scene: Scene, count: int, *, seed: int = 0, first: int = 0,

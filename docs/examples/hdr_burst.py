@@ -81,7 +81,7 @@ axis.legend(frameon=False)
 hand = gs.Motion(shake=4.0, seed=2)
 dim = gs.picture(data.coffee()[60:260, 100:400], luminance=15)
 steady = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=5, scaling="normalised"))
-burst = [steady(dim.viewed(hand.at(number * 0.005)), seed=4, frame=number) for number in range(8)]
+burst = gs.burst(steady, [dim.viewed(hand.at(number * 0.005)) for number in range(8)], seed=4)
 slow = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=40, scaling="normalised"))
 blurred = next(slow.shoot(gs.expose_motion(slow, dim, hand), seed=4))
 

@@ -37,7 +37,7 @@ for axis, luminance, where in zip(axes, (100, 10, 1), ("an office", "a dim room"
 
 dim, motion = gs.scene_from(photograph, luminance=3), gs.Motion(shake=1.5, seed=4)
 views = [dim.viewed(motion.at(number / 30)) for number in range(8)]
-frames = [simulate(view, seed=2, frame=number) for number, view in enumerate(views)]
+frames = gs.burst(simulate, views, seed=2)
 shown = {"one frame": frames[0],
          "denoised": gs.Simulator(camera.with_(denoise=1.0), tolerance="video")(views[0], seed=2),
          "eight frames": gs.merge_burst(simulate, frames)}

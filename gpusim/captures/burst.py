@@ -1,20 +1,30 @@
-"""Raw values of many frames of a scene at rest."""
+"""Many frames exposed alike: of a scene at rest, or of what a camera that shakes sees."""
+
+from collections.abc import Iterable
 
 import numpy as np
 
+from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.scene import Scene
-from gpusim.frame import Exposure
+from gpusim.frame import Exposure, Frame
 from gpusim.simulator import Simulator
 
 
-def burst(simulator: Simulator, scene: Scene, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:
-    """Raw values of `count` frames, numbered from `first`, drawn at once: NumPy, count x the shape of a frame's [DN].
+def burst(simulator: Simulator, scenes: Scene | Iterable[Scene], count: int = 1, *, seed: int = 0,
+          first: int = 0) -> list[Frame]:
+    """Frames of one exposure time and gain, numbered from `first`: as `merge_burst` takes them.
 
-    Raises as `Simulator.frames` does, and DoesNotFit for frames that the device cannot hold at once.
+    scenes: one, or several, such as the views of a hand that shakes. count: frames of each; its mean electrons are
+    computed once. Automatic exposure meters the first scene. Raises as `Simulator.frames` does.
     """
-    exposure = simulator.expose(scene)
-    raw = simulator.draw(exposure, seed=seed, frame=first, frames=count)
-    return exposure.layered(np.array(simulator.device.numpy(raw)))
+    checked_count("count of frames", count)
+    views = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    if not views:
+        raise BadData("burst: no scenes, wanted one or several")
+    exposures = [simulator.expose(views[0])]
+    exposures += [simulator.expose(view, exposures[0].exposure_time, exposures[0].gain) for view in views[1:]]
+    return [frame for number, exposure in enumerate(exposures)
+            for frame in simulator.shoot(exposure, count, seed=seed, first=first + number * count)]
 
 
 def average(simulator: Simulator, exposure: Exposure, count: int, *, seed: int = 0, first: int = 0) -> np.ndarray:

@@ -326,14 +326,22 @@ def test_bracket_has_times_numbers_and_frames_of_its_own():
     np.testing.assert_allclose(ratio, 4, rtol=2 * ULP)
 
 
-def test_burst_is_the_frames_one_by_one():
-    scene = chart("ramp", size=(40, 24))
+def test_burst_has_the_exposure_of_its_first_frame():
+    """Each frame is that of its scene, exposed for the time and gain that the first was metered for."""
+    bright, dim = (chart("ramp", size=(40, 24), luminance=luminance) for luminance in (100.0, 30.0))
     for changes in ({}, {"binning": (2, 2), "binning_mode": "digital"}, {"bits": 32}):
-        simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
-        burst = gs.burst(simulate, scene, 3, seed=2, first=5)
-        frames = list(simulate.frames(scene, 3, seed=2, first=5))
-        np.testing.assert_array_equal(burst, [frame.raw for frame in frames])
-        assert (burst[0] != burst[1]).mean() > 0.3
+        simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), exposure_time=None, **changes)
+        once = simulate.expose(bright)
+        frames = gs.burst(simulate, iter([bright, dim]), 2, seed=2, first=5)
+        assert len({frame.exposure_time for frame in frames}) == 1 and len({*map(id, frames)}) == 4
+        for number, (frame, scene) in enumerate(zip(frames, (bright, bright, dim, dim), strict=True), 5):
+            again, = simulate.shoot(simulate.expose(scene, once.exposure_time, once.gain), seed=2, first=number)
+            np.testing.assert_array_equal(frame.raw, again.raw)
+        assert (frames[0].raw != frames[1].raw).mean() > 0.3
+        # 0.3 of the light of the same ramp; float32 rates, times and products
+        np.testing.assert_allclose(frames[2].mean, 0.3 * frames[0].mean, rtol=8 * ULP)
+    with pytest.raises(GpusimError, match="burst: no scenes"):
+        gs.burst(simulate, [])
 
 
 @pytest.mark.parametrize("changes", [{}, {"bits": 32}, {"binning": (2, 1), "binning_mode": "digital"}])

@@ -18,7 +18,7 @@ import gpusim
 from gpusim.cli import _parser, main
 from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.noise import Noise
 from gpusim.simulator import Simulator
 
@@ -511,3 +511,23 @@ def test_draws_follow_each_other_each_in_an_array_of_its_own(device, noise):
         simulator.draw(exposures[0], frame=-1)
     np.testing.assert_array_equal(simulator.device.numpy(simulator.draw(exposures[0], seed=7, frame=2**32 - 1)),
                                   simulator.device.numpy(drawn[-1]))
+
+
+def test_several_scenes_give_a_frame_each():
+    """Of a list and of a generator, one by one: those of each scene and number by themselves."""
+    simulate = Simulator(open_camera("phone"), device="opencl", tolerance="video")
+    scenes = [chart("colorchecker", size=(48, 32)), chart("ramp", size=(60, 40)), chart("flat", size=(24, 16))]
+    alone = [simulate(scene, seed=3, frame=number) for number, scene in enumerate(scenes, 7)]
+    for given in (scenes, tuple(scenes), iter(scenes)):
+        for found, own in zip(simulate(given, seed=3, frame=7), alone, strict=True):
+            assert found.report.frame == own.report.frame
+            np.testing.assert_array_equal(found.raw, own.raw)
+            np.testing.assert_array_equal(found.rgb, own.rgb)
+    asked = []
+    frames = simulate(asked.append(number) or scenes[number] for number in range(3))
+    assert asked == [] and next(frames).raw.shape == (32, 48) and asked == [0]  # made when asked for
+    for wrong in ("colorchecker", 3, None):
+        with pytest.raises(BadData, match="wanted a Scene, such as of open_scene or chart"):
+            simulate(wrong)
+    with pytest.raises(BadData, match="scene: str, wanted a Scene"):
+        list(simulate(["colorchecker"]))
