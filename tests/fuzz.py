@@ -16,9 +16,10 @@ import tempfile
 import time
 import warnings
 import zlib
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import instrument_files
 import mat_mutations
 import mutations
 import numpy as np
@@ -29,6 +30,7 @@ from gpusim.data.cameras import camera_names, open_camera
 from gpusim.data.learned import read_table, write_table
 from gpusim.data.noise_profile import read_noise_profile
 from gpusim.data.psf import read_psf
+from gpusim.data.zemax import read_zemax_psf
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.memory import require_memory
@@ -38,16 +40,23 @@ from gpusim.l3.layout import layout
 
 SEEDS = (1, 2, 3)  # of the kept runs
 READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile",
-           "mat", "mat73")
+           "mat", "mat73", "envi", "array", "spectra", "listing")
 WAVES = np.array([400.0, 500.0, 650.0])
 SUFFIXES = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif",
-            "calibration": ".yaml", "profile": ".dng", "mat": ".mat", "mat73": ".mat"}  # others read .npz
+            "calibration": ".yaml", "profile": ".dng", "mat": ".mat", "mat73": ".mat", "envi": ".envi", "array": ".npy",
+            "spectra": ".csv", "listing": ".txt"}  # others read .npz
 READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibration": read_calibration,
-        "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES)}  # others open scenes
+        "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES),
+        "array": lambda path: open_scene(path, wavelengths=WAVES),
+        "spectra": lambda path: open_scene(path, size=(60, 40))}  # others open scenes
 MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
           "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
           "planes": picture_mutations.tiff, "profile": picture_mutations.tiff,
-          "mat": mat_mutations.version_5, "mat73": mat_mutations.version_7_3}  # others see Inputs.make
+          "mat": mat_mutations.version_5, "mat73": mat_mutations.version_7_3,
+          "envi": instrument_files.envi, "array": instrument_files.array, "spectra": mutations.table,
+          "listing": instrument_files.listing}  # others see Inputs.make
+INSTRUMENTS = {"envi": instrument_files.envi_files, "array": instrument_files.array_files,
+               "spectra": lambda: instrument_files.TABLES, "listing": instrument_files.listings}
 PEAK = Path("/proc/self/clear_refs")
 LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
@@ -200,6 +209,8 @@ class Inputs:
         self.reader, self.lines, self.arrays = reader, [], []
         if reader in ("camera", "curves", "calibration"):
             self.good, self.lines = good_texts(reader)
+        elif reader in INSTRUMENTS:
+            self.good = INSTRUMENTS[reader]()
         elif reader == "profile":
             self.good = [good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
@@ -242,7 +253,27 @@ def reading(reader, folder):
     if reader == "curves":
         (folder / "own.toml").write_text(CAMERA)
         return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
+    if reader == "envi":
+        return folder / "input.envi", read_envi
+    if reader == "listing":
+        (folder / "other.txt").write_text(instrument_files.NEIGHBOUR)
+        return folder / "input.txt", read_listing
     return folder / f"input{SUFFIXES.get(reader, '.npz')}", READ.get(reader, open_scene)
+
+
+def read_envi(path):
+    """Open a header and its raw file that are one input."""
+    head, _, raw = path.read_bytes().partition(instrument_files.MARK)
+    (path.parent / "a.hdr").write_bytes(head)
+    (path.parent / "a.raw").write_bytes(raw)
+    return open_scene(path.parent / "a.hdr")
+
+
+def read_listing(path):
+    """Read a listing by itself, and with one of another wavelength where they go together."""
+    read_zemax_psf(path)
+    with suppress(GpusimError):
+        read_zemax_psf([path.parent / "other.txt", path], corner=3e-3)
 
 
 def flaw(error) -> str | None:

@@ -66,9 +66,9 @@ def archive(arrays: dict, random) -> bytes:
         name = pick(random, list(members))
         kind = int(random.integers(-3, 9))
         if kind <= 1:
-            members[name] = _revalued(arrays.get(name[:-4], np.zeros(3)), random)
+            members[name] = revalued(arrays.get(name[:-4], np.zeros(3)), random)
         elif kind <= 4:
-            members[name] = _reheaded(members[name], random)
+            members[name] = reheaded(members[name], random)
         elif kind == 5:
             members[name] = damaged(members[name], b"", random)
         elif kind == 6:
@@ -95,7 +95,7 @@ def _zipped(members, random):
     return buffer.getvalue()
 
 
-def _revalued(array, random):
+def revalued(array, random):
     """The array with other values, another type or another shape."""
     kind = int(random.integers(5))
     array = np.array(array)
@@ -120,7 +120,7 @@ def _revalued(array, random):
     return buffer.getvalue()
 
 
-def _reheaded(member, random):
+def reheaded(member, random):
     """An array whose header says something else; the numbers stay."""
     start = 10 if member[6:7] == b"\x01" else 12
     header = member[start:].split(b"\n", 1)
@@ -230,7 +230,8 @@ CELLS = ("nan", "inf", "-1", "1e400", "", " ", "x", '"', '"a\nb"', "0", "1e-5", 
 
 def table(text: bytes, random) -> bytes:
     """A CSV file with other cells, lines and ends."""
-    rows = [line.split(",") for line in text.decode().split("\n")]
+    divider = next((one for one in ";\t" if one in text.decode()), ",")
+    rows = [line.split(divider) for line in text.decode().split("\n")]
     for _ in range(int(random.integers(1, 4))):
         row = pick(random, rows)
         kind = int(random.integers(5))
@@ -243,6 +244,6 @@ def table(text: bytes, random) -> bytes:
         else:
             rows.remove(row)
             rows = rows or [[""]]
-    whole = "\n".join(",".join(row) for row in rows).encode("utf-8", "surrogatepass")
+    whole = "\n".join(divider.join(row) for row in rows).encode("utf-8", "surrogatepass")
     return pick(random, (whole,) * 5 + (b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r"), whole + b"\xff",
                                         damaged(whole, b"", random)))

@@ -18,6 +18,7 @@ from gpusim.io.files import file_size, open_file, reading
 NUMBERS, WHOLE, TEXT = "uif", "ui", "U"  # NumPy's letters for kinds of types
 KINDS = {NUMBERS: "real numbers", WHOLE: "whole numbers", TEXT: "text"}
 WHAT = "an .npz archive of plain arrays"
+VERSIONS = ((1, 0), (2, 0), (3, 0))  # of an array's header; the last two differ in letters of names alone
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of NumPy; zipfile inflates the others without a bound
 ENCRYPTED = 1  # bit of a zip member's flags
 LARGEST_RATIO = 1032  # of deflate: 258 bytes of 2 bits (RFC 1951)
@@ -138,7 +139,10 @@ def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that Python 2 wrote
-        long = np.lib.format.read_magic(head) != (1, 0)
+        version = np.lib.format.read_magic(head)
+        if version not in VERSIONS:
+            raise ValueError(f"version {version[0]}.{version[1]} of its header")
+        long = version != (1, 0)
         header = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
         return header(head)
 

@@ -71,7 +71,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         said = scale != 1 or gains is not None
     else:
         said = True
-    interleave = header.text("interleave", "bsq").lower()
+    interleave = header.text("interleave").lower()
     if interleave not in AXES:
         raise BadFile(path, f"interleave = {shown(interleave)}: wanted bsq, bil or bip")
     axes = AXES[interleave]
@@ -186,11 +186,12 @@ class _Header:
 
     def dtype(self) -> np.dtype:
         """Type of the samples, in their order of bytes."""
-        code, order = self.whole("data type"), self.whole("byte order", 0, least=0)
+        code = self.whole("data type")
         if code in COMPLEX:
             raise BadFile(self.path, f"data type = {code}: complex numbers are no light; wanted real ones")
         if code not in TYPES:
             raise BadFile(self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}")
+        order = self.whole("byte order", 0 if TYPES[code] == "u1" else None, least=0)
         if order > 1:
             raise BadFile(self.path, f"byte order = {order}: wanted 0 (the least significant byte first) or 1")
         return np.dtype("<>"[order] + TYPES[code])

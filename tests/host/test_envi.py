@@ -1,5 +1,7 @@
 """ENVI files: those of Spectral Python and by hand; units, factors, bad bands, no data, and what is refused."""
 
+import os
+
 import numpy as np
 import pytest
 from refusals import refused, takes
@@ -105,6 +107,17 @@ def test_several_data_files(tmp_path):
     gs.open_scene(path)
     (tmp_path / "a.raw").unlink()
     with refused(path, "no data file", ".raw, .img", error=BadFile):
+        gs.open_scene(path)
+
+
+def test_data_that_are_no_file(tmp_path):
+    path = write(tmp_path / "a.hdr", CUBE)
+    (tmp_path / "a.raw").unlink()
+    (tmp_path / "a.raw").mkdir()
+    with refused(path, "no data file", error=BadFile):
+        gs.open_scene(path)
+    os.mkfifo(tmp_path / "a.img")
+    with refused("a.img", "is a pipe", error=BadFile):
         gs.open_scene(path)
 
 

@@ -20,6 +20,7 @@ import gpusim as gs
 from gpusim.data.cameras import open_camera
 from gpusim.data.learned import read_table
 from gpusim.data.psf import read_psf
+from gpusim.data.zemax import read_zemax_psf
 from gpusim.domain import memory
 from gpusim.domain.errors import BadFile, DoesNotFit, UnknownName
 from gpusim.io.exr import write_rgb_exr
@@ -40,7 +41,7 @@ def test_damaged_files_are_refused(reader):
 @pytest.mark.parametrize("seed", fuzz.SEEDS)
 @pytest.mark.parametrize("reader", fuzz.READERS)
 def test_many_damaged_files_are_refused(reader, seed):
-    """180,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
+    """240,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
     row = fuzz.in_a_process(reader, seed, 5000)
     assert row["mutated"] == 5000 and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
 
@@ -91,7 +92,8 @@ def test_whole_files_take_the_memory_that_was_estimated(name, tmp_path):
 
 
 READERS = {".toml": open_camera, ".exr": open_scene, ".png": open_scene, ".jpg": open_scene, ".npz": open_scene,
-           "psf.npz": read_psf, "table.npz": read_table}
+           "psf.npz": read_psf, "table.npz": read_table, ".hdr": open_scene, ".csv": open_scene, ".txt": read_zemax_psf,
+           ".npy": lambda path: open_scene(path, wavelengths=WAVES)}
 
 
 def special_files(folder, suffix):

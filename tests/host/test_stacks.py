@@ -10,7 +10,7 @@ from refusals import refused, takes
 import gpusim as gs
 from gpusim.cli import main
 from gpusim.data.reflectances import reflectances
-from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
 from gpusim.io.readers import IN_FOLDERS, READERS
 
 RANDOM = np.random.default_rng(12)
@@ -110,6 +110,26 @@ def test_it_takes_the_memory_that_it_asks_for(tmp_path, monkeypatch):
     gs.open_scene(tmp_path / "a.npy", wavelengths=WAVES)
     with takes(asked[0] + 2**20):  # 1 MiB: header, spectra, names
         gs.open_scene(tmp_path / "a.npy", wavelengths=WAVES)
+
+
+def test_what_is_read_of_damaged_arrays_is_what_numpy_reads(tmp_path):
+    """Numbers of the file as float32, in float32 divided by white; noise below 0 is 0."""
+    import fuzz
+
+    inputs, path, read = fuzz.Inputs("array", tmp_path), tmp_path / "a.npy", 0
+    for number in range(600):
+        path.write_bytes(inputs.make(9, number))
+        try:
+            scene = gs.open_scene(path, wavelengths=fuzz.WAVES)
+        except GpusimError:
+            continue
+        with np.errstate(over="ignore"):
+            array = np.load(path).astype(np.float32) / np.float32(
+                {"|u1": 255, "<u2": 65535, ">u2": 65535}.get(np.load(path).dtype.str, 1))
+        np.testing.assert_array_equal(scene.content.values,
+                                      np.maximum(array if len(array) == 3 else np.moveaxis(array, -1, 0), 0))
+        read += 1
+    assert read > 20
 
 
 # ---- .csv
