@@ -41,7 +41,7 @@ def test_damaged_files_are_refused(reader):
 @pytest.mark.parametrize("seed", fuzz.SEEDS)
 @pytest.mark.parametrize("reader", fuzz.READERS)
 def test_many_damaged_files_are_refused(reader, seed):
-    """240,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
+    """270,000 files, in a process with little memory; at most LONGEST seconds and twice the estimate for any."""
     row = fuzz.in_a_process(reader, seed, 5000)
     assert row["mutated"] == 5000 and not row["wrong"] and row["peak_mib"] <= fuzz.LARGEST / 2**20, row
 
