@@ -107,7 +107,7 @@ class _File:
 
     def per_irradiance(self, value):
         """Radiance over irradiance [sr-1] of the lens that made an optical image, focused at infinity."""
-        number = value.get("optics", "rayTrace", "fNumber") or value.get("optics", "fNumber")
+        number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
             raise BadFile(self.path, f"{value.label}: an optical image without optics.fNumber, so that its irradiance "
                                      "cannot be told as a scene's radiance; set it, or save the scene")

@@ -47,32 +47,45 @@ class _Item(Value):
         if isinstance(item, h5py.Group):
             if len(item) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} names in {label}")
-            kind = "struct" if of in ("struct", "") else f"no plain array of class {of}"
             names = [str(name, "latin-1") if isinstance(name, bytes) else name for name in item]  # bytes: not UTF-8
-            super().__init__(path, label, kind, (1, 1), tuple(
-                name for name in names if not name.startswith(HIDDEN)) if kind == "struct" else ())
+            names = [name for name in names if not name.startswith(HIDDEN)]
+            kind = "struct" if of in ("struct", "") else f"no plain array of class {of}"
+            if of == "struct" and names and self._is_of_references(names[0]) and item[names[0]].size > 1:
+                kind = "a struct array"
+            super().__init__(path, label, kind, (1, 1), tuple(names) if kind == "struct" else ())
             return
         if not isinstance(item, h5py.Dataset):
             raise ValueError(f"{label} is neither a group nor a data set")
         shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1]
         if of == "char":
             kind = "text"
-        elif of == "cell" or item.dtype.kind == "O":
-            kind = "a cell array" if of == "cell" else "a struct array"
+        elif of == "cell":
+            kind = "a cell array"
         else:
             kind = "numbers" if item.dtype.kind in "iuf" and item.dtype.itemsize <= 8 else f"an array of {item.dtype}"
         super().__init__(path, label, kind, shape)
 
-    def _field(self, name):
+    def _linked(self, name):
+        """What has a name in this file, not in another."""
         import h5py
 
         if not isinstance(self.item.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"{name} is a link to something else")
-        item = self.item[name]
-        if (isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference and item.size == 1
-                and not _class(item)):  # of a struct array that has one element
+        return self.item[name]
+
+    def _is_of_references(self, name):
+        """Whether a field is one of a struct array: references to its values in the elements."""
+        import h5py
+
+        item = self._linked(name)
+        return (isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference
+                and not _class(item))
+
+    def _field(self, name):
+        item = self._linked(name)
+        if self._is_of_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
-            item = self.item.file[item[()].item() if item.shape else item[()]]
+            item = self.item.file[np.asarray(item[()]).item()]
         return _Item(self.path, f"{self.label}.{name}" if self.label != "the file" else name, item, self.size)
 
     def _check(self):

@@ -338,6 +338,16 @@ def test_version_4_is_refused(tmp_path):
         gs.open_scene(tmp_path / "a.mat")
 
 
+def test_struct_arrays_of_one_element_are_structs(tmp_path):
+    """MATLAB 7.3 keeps the fields of a struct array as references."""
+    save73(tmp_path / "a.mat", {"scene": (scene_of(),)})
+    np.testing.assert_allclose(surfaces_of(gs.open_scene(tmp_path / "a.mat")), SURFACES, rtol=SINGLE)
+    for scene, what in ((scene_of(), scene_of()), "a struct array"), ([scene_of()], "a cell array"):
+        save73(tmp_path / "a.mat", {"scene": scene})
+        with refused("a.mat", what, error=BadFile):
+            gs.open_scene(tmp_path / "a.mat")
+
+
 def test_a_missing_h5py_says_what_to_install(tmp_path, monkeypatch):
     save73(tmp_path / "a.mat", {"scene": scene_of()})
     monkeypatch.setitem(sys.modules, "h5py", None)
