@@ -257,7 +257,7 @@ class _File:
         found = _mixed(light)
         if found is not None:
             mean, maps, lights = found
-            made = np.einsum("khw,kl->lhw", maps, lights * mean).astype(np.float32)
+            made = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
             lit = (light > 0) & (made > 0)
             if not content.values[~lit].any():  # light from what is not lit is no reflectance
                 surfaces = np.divide(content.values, made, out=np.zeros_like(made), where=lit)
@@ -273,28 +273,27 @@ def _mixed(light):
     Lights are relative to the mean, maps are not negative: spectra of sum 1 are points of a plane, and the lights are
     the corners of a simplex around all of them, in which a point has weights from 0 to 1.
     """
-    flat = light.reshape(len(light), -1).T.astype(np.float64)
-    mean, total = flat.mean(axis=0), None
-    if not (np.isfinite(flat).all() and flat.min() >= 0 and mean.min() > 0):
+    flat = light.reshape(len(light), -1).astype(np.float64)
+    mean = flat.mean(axis=1)
+    if not (np.isfinite(mean).all() and flat.min() >= 0 and mean.min() > 0):
         return None
-    flat /= mean
-    lit = flat.sum(axis=1) > 0
-    axes = np.linalg.eigh(flat.T @ flat)[1][:, ::-1]
+    flat /= mean[:, None]
+    lit = flat.any(axis=0)
+    axes = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
     for count in range(1, min(MOST_LIGHTS, len(mean)) + 1):
         axis = axes[:, :count]
-        sums = axis.sum(axis=0)
-        total = flat @ axis @ sums
+        parts, sums = axis.T @ flat, axis.sum(axis=0)
+        total = sums @ parts
         if not (total[lit] > 0).all():
             continue
-        points = np.divide(flat @ axis, total[:, None], out=np.zeros((len(flat), count)), where=lit[:, None])
         plane = np.linalg.svd(sums[None])[2][1:].T  # the directions in which the sum stays 1
-        places = points @ plane
-        low = places[lit].min(axis=0)
-        size = (places[lit] - low).sum(axis=1).max() or 1.0
-        weights = np.maximum((places - low) / size, 0)
-        weights = np.column_stack([np.maximum(1 - weights.sum(axis=1), 0), weights])
+        places = plane.T @ np.divide(parts, total, out=np.zeros_like(parts), where=lit)
+        low = places[:, lit].min(axis=1)
+        size = (places[:, lit].sum(axis=0) - low.sum()).max() or 1.0
+        weights = np.maximum((places - low[:, None]) / size, 0)
+        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights]) * np.where(lit, total, 0)
         corners = sums / (sums @ sums) + (plane @ np.column_stack([low, low[:, None] + size * np.eye(count - 1)])).T
-        maps, lights = np.where(lit[:, None], weights * total[:, None], 0), corners @ axis.T
-        if (np.abs(maps @ lights - flat) <= LIGHT_ERROR * flat + LEAST_LIGHT).all():
-            return mean, np.ascontiguousarray(maps.T.reshape(count, *light.shape[1:]), np.float32), lights
+        lights = corners @ axis.T
+        if (np.abs(lights.T @ maps - flat) <= LIGHT_ERROR * flat + LEAST_LIGHT).all():
+            return mean, maps.reshape(count, *light.shape[1:]).astype(np.float32), lights
     return None
