@@ -1,4 +1,4 @@
-"""The command line: `gpusim simulate | plan | video | pairs | preview | train-l3 | verify | bench | devices`."""
+"""The command line: `gpusim simulate | plan | look | video | pairs | preview | train-l3 | verify | bench | devices`."""
 
 import argparse
 import dataclasses
@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from gpusim import __version__
+from gpusim import __version__, look
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
 from gpusim.options import DEVICE_HELP, add_asked, operated, scene_of, size, whole
@@ -305,6 +305,7 @@ def _parser():
     plan.add_argument("--json", metavar="FILE", help="write it")
     plan.set_defaults(run=_plan)
 
+    look.add_command(commands)
     video.add_command(commands)
     pairs.add_command(commands)
     preview.add_command(commands)

@@ -116,13 +116,19 @@ def _add_operation(command):
                           "brighter and clips, normalised a white surface is white (default: the camera's, exposure)")
 
 
-def add_asked(command, several: bool = False):
-    """Add the options of a scene before a camera, or of several scenes."""
-    more = "; several, or a folder of numbered ones: a frame of each" if several else ""
-    command.add_argument("scene", metavar="SCENE", **({"nargs": "+"} if several else {}), help="a chart (colorchecker, "
+def add_asked(command, several: bool = False, camera: str | None = None, more: str = ""):
+    """Add the options of a scene before a camera, or of several scenes.
+
+    camera: which where none is named; None: one has to be. more: what is taken where no scene is named, for the help;
+    "": one has to be.
+    """
+    count = {"nargs": "+"} if several else {"nargs": "?"} if more else {}
+    more = "; several, or a folder of numbered ones: a frame of each" if several else more
+    command.add_argument("scene", metavar="SCENE", **count, help="a chart (colorchecker, "
                          "slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: spectral .exr, .npz, .mat, "
                          f"ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, .jpg or .tif{more}")
-    command.add_argument("--camera", required=True, help="phone, machine-vision, figure8, mono, or a .toml file")
+    command.add_argument("--camera", required=camera is None, default=camera, help="phone, machine-vision, figure8, "
+                         f"mono, or a .toml file{'' if camera is None else f' (default: {camera})'}")
     command.add_argument("--device", default="auto", help=DEVICE_HELP)
     command.add_argument("--tolerance", help="preview, video, metrology, or a relative RMS error; checked by --verify")
     command.add_argument("--guaranteed", action="store_true", help="the tolerance holds for every spectrum")

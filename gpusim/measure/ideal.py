@@ -61,16 +61,19 @@ def pixel_sums(scene: Scene, weights) -> np.ndarray:
     """
     if not scene.view.is_plain:
         raise BadData(f"ideal: a view of {scene.name}, whose samples are not the frame's; wanted the scene as it is")
-    return _pixels(scene, _seen(scene, weights))
+    middle = slice(scene.margin, -scene.margin or None)
+    return _pixels(scene, sample_sums(scene, weights, (middle, middle)))
 
 
-def _seen(scene, weights):
-    """Sums over wavelength of all samples in the frame, (3, rows, cols); what stands in front hides what is behind."""
-    middle = np.s_[scene.margin : -scene.margin or None, scene.margin : -scene.margin or None]
-    planes = scene.content.on_host().weighted(weights, middle)
+def sample_sums(scene: Scene, weights, window) -> np.ndarray:
+    """Sums over wavelength of samples, float64 (C, rows, cols); what stands in front hides what is behind.
+
+    weights: of the scene's wavelengths, shape (C, L). window: slices of rows and columns of the content's samples.
+    """
+    planes = scene.content.on_host().weighted(weights, window)
     for layer in scene.layers[::-1]:
-        alpha = np.asarray(layer.alpha, np.float64)[middle]
-        planes = planes * (1 - alpha) + layer.content.on_host().weighted(weights, middle) * alpha
+        alpha = np.asarray(layer.alpha, np.float64)[window]
+        planes = planes * (1 - alpha) + layer.content.on_host().weighted(weights, window) * alpha
     return planes
 
 

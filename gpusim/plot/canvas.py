@@ -9,6 +9,8 @@ from gpusim.domain.errors import BadData, Missing
 CHANNELS = {"R": (0.84, 0.15, 0.16), "G": (0.17, 0.63, 0.17), "B": (0.12, 0.35, 0.80), "Y": (0.35, 0.35, 0.35),
             "W": (0.45, 0.45, 0.45), "C": (0.09, 0.65, 0.75), "M": (0.80, 0.20, 0.65), "E": (0.05, 0.55, 0.45)}
 OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))  # of letters not in it
+LIGHTEST = 0.62  # of a line's codes on white
+BAR = 1.3  # inches of a colour bar
 QUIET = "0.55"  # grey of lines that are no data
 
 
@@ -48,6 +50,23 @@ def image(ax, codes, title=""):
     return ax
 
 
+def picture_size(shape, beside: float = 0.0) -> tuple[float, float]:
+    """Inches of a figure for a picture of (rows, cols) with a title; beside: for a colour bar."""
+    rows, cols = shape
+    width = min(8.0, 5.0 * cols / rows)
+    return max(width, 3.5) + beside, max(width * rows / cols, 1.5) + 0.5
+
+
+def error_map(ax, values, title, label, **colors):
+    """Numbers (rows, cols) in colours, with their bar; colors: of `imshow`."""
+    drawn = ax.imshow(values, **colors)
+    ax.figure.colorbar(drawn, ax=ax, label=label, extend="both" if colors["vmin"] < 0 else "max")
+    ax.set_xticks([])
+    ax.set_yticks([])
+    ax.set_title(title, fontsize="medium")
+    return ax
+
+
 def finish(ax, title, x, y, legend=True):
     """Title, labels of both axes, a faint grid and a legend."""
     ax.set_title(title)
@@ -73,8 +92,13 @@ def wavelength_color(nanometres: float) -> tuple:
         return (0.4, 0.4, 0.4) if nanometres < 550 else (0.25, 0.1, 0.1)
     linear = np.maximum(DISPLAYS["srgb"].rgb_from_xyz @ xyz, 0)
     linear = linear / linear.max()
-    shown = np.clip(DISPLAYS["srgb"].encode(linear), 0, 1)
-    return tuple(float(value) for value in shown * min(1.0, 0.62 / (shown @ (0.3, 0.6, 0.1))))
+    return readable(DISPLAYS["srgb"].encode(linear))
+
+
+def readable(codes) -> tuple:
+    """A colour 0 .. 1 (3,) made dark enough for a line on white."""
+    codes = np.clip(codes, 0, 1)
+    return tuple(float(value) for value in codes * min(1.0, LIGHTEST / max(codes @ (0.3, 0.6, 0.1), 1e-9)))
 
 
 def srgb(xyz, white=None) -> np.ndarray:

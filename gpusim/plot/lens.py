@@ -73,8 +73,10 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     if several and ax is not None:
         raise BadData(f"psf: {len(of)} pictures on one ax; wanted figure =, or of = one wavelength or channel")
     if not several:
-        own = _light_of(camera, of[0], light)
-        drawn = _spread(camera, of[0], axes_of(ax, (4.6, 4.0)), own, place, _reach(camera, own[0], place))
+        nodes, weights = _light_of(camera, of[0], light)
+        energy, step = spread_of(camera, nodes, place, _reach(camera, nodes, place))
+        drawn = _spread(camera, np.tensordot(weights, energy, 1), step, axes_of(ax, (4.8, 4.0)),
+                        f"{camera.name}: point spread, {_name(of[0])}, f/{camera.optics.f_number:g}")
         drawn.axes.figure.colorbar(drawn, ax=drawn.axes, label="irradiance over that of the peak")
         return drawn.axes
     cols = min(len(of), 3)
@@ -82,28 +84,30 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     figure, axes = panels(figure, rows, cols, (3.2 * cols + 1, 3.0 * rows + 0.4))
     lights = [_light_of(camera, one, light) for one in of]
     reach = max(_reach(camera, nodes, place) for nodes, _ in lights)
-    drawn = [_spread(camera, one, ax, own, place, reach) for one, own, ax in zip(of, lights, axes.flat, strict=False)]
+    known: dict = {}  # channels share their wavelengths
+    for one, (nodes, weights), ax in zip(of, lights, axes.flat, strict=False):
+        if tuple(nodes) not in known:
+            known[tuple(nodes)] = spread_of(camera, nodes, place, reach)
+        energy, step = known[tuple(nodes)]
+        drawn = _spread(camera, np.tensordot(weights, energy, 1), step, ax, _name(one))
     for ax in axes.flat[len(of):]:
         ax.set_axis_off()
-    figure.colorbar(drawn[0], ax=axes, label="irradiance over that of the peak", shrink=0.8)
+    figure.colorbar(drawn, ax=axes, label="irradiance over that of the peak", shrink=0.8)
     figure.suptitle(f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}")
     return figure
 
 
-def _spread(camera, one, ax, light, place, reach):
+def _spread(camera, energy, step, ax, title):
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Rectangle
 
-    nodes, weights = light
-    energy, step = spread_of(camera, nodes, place, reach)
-    energy = np.tensordot(weights, energy, 1)
     half = 1e6 * step / 2 * np.array(energy.shape)  # [um]
     extent = (-half[1], half[1], half[0], -half[0])
     drawn = ax.imshow(np.maximum(energy / energy.max(), 10.0**-DECADES), norm=LogNorm(10.0**-DECADES, 1),
                       cmap="magma", extent=extent, interpolation="nearest")
     height, width = (1e6 * side for side in camera.sensor.aperture)
     ax.add_patch(Rectangle((-width / 2, -height / 2), width, height, fill=False, edgecolor="w", linewidth=0.8))
-    ax.set_title(_name(one))
+    ax.set_title(title)
     ax.set_xlabel("[µm]")
     ax.set_ylabel("[µm]")
     return drawn

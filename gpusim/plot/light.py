@@ -1,17 +1,29 @@
 """Pictures of light: a scene's radiance, spectra of its patches, and the irradiance behind a lens."""
 
+from dataclasses import replace
+from itertools import cycle
+from math import ceil
+from operator import index
+
 import numpy as np
 
 from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
-from gpusim.domain.errors import BadData
+from gpusim.domain.camera import Camera, checked_camera
+from gpusim.domain.display import Display
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
+from gpusim.domain.noise import Noise
+from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.spectrum import energy_from_photons
-from gpusim.measure.ideal import pixel_sums
-from gpusim.planner.weights import product_weights
-from gpusim.plot.canvas import axes_of, image, srgb
+from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.domain.spectrum import LIGHT_SPEED, LONGEST, PLANCK, SHORTEST, Spectrum, energy_from_photons
+from gpusim.measure.ideal import pixel_sums, sample_sums
+from gpusim.planner.sampling import frame_start
+from gpusim.planner.weights import electrons_per_content, product_weights
+from gpusim.plot.canvas import axes_of, finish, image, panels, picture_size, readable, srgb
 from gpusim.truth import viewed
 
 BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
+QUANTITIES = {"radiance": "[W m⁻² sr⁻¹ nm⁻¹]", "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]", "reflectance": "[1]"}
 
 
 def scene(scene: Scene, ax=None):
@@ -28,20 +40,177 @@ def scene(scene: Scene, ax=None):
 def radiance_codes(scene: Scene) -> tuple[np.ndarray, float]:
     """Codes 0 .. 1 (rows, cols, 3) in sRGB of a scene's radiance, and the luminance that is white [cd m-2]."""
     scene = viewed(checked_scene(scene))
-    eye = energy_from_photons(cmf())
-    weights = LUMINOUS_EFFICACY * product_weights(scene.wavelengths, eye, scene.illuminant)
+    weights, white = _eye(scene)
     xyz = pixel_sums(scene, weights)
+    if white is not None:
+        luminance = float(weights[1].sum())
+        return srgb(xyz / luminance, white), luminance
+    bright = float(np.percentile(xyz[1], BRIGHT)) or 1.0
+    return srgb(xyz / bright), bright
+
+
+def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance"):
+    """Mean spectra of a scene's patches against the wavelength, each in its own colour.
+
+    at: a pixel (column, row) or a region (left, top, right, bottom) of the frame, right and bottom not in it; a list of
+    them; None: all of the frame. quantity: "radiance" [W m-2 sr-1 nm-1], "photons" [photon s-1 m-2 sr-1 nm-1] or
+    "reflectance", where the light is known. Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
+    """
+    if quantity not in QUANTITIES:
+        raise UnknownName("quantity", str(quantity), QUANTITIES)
+    scene = viewed(checked_scene(scene))
+    if quantity == "reflectance" and not scene.light_is_known:
+        raise BadData(f"spectra: {scene.name} is radiance, whose light is not known; wanted another quantity than "
+                      "reflectance")
+    found = [(*patch_spectrum(scene, place, quantity), name) for place, name in zip(*_places(scene, at), strict=True)]
+    ax = axes_of(ax)
+    for (wavelengths, values, color, name), style in zip(found, cycle(("-", "--", "-.", ":"))):
+        ax.plot(wavelengths, values, color=color, linestyle=style, label=name)
+    ax.set_xlim(scene.wavelengths[0], scene.wavelengths[-1])
+    ax.set_ylim(bottom=min(0.0, *(float(values.min()) for _, values, *_ in found)))
+    ax.ticklabel_format(axis="y", scilimits=(-2, 3))
+    unit = QUANTITIES[quantity]
+    return finish(ax, f"{scene.name}: {quantity} of {'a patch' if len(found) == 1 else 'patches'}", "wavelength [nm]",
+                  f"{quantity} {unit}")
+
+
+def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
+    """Wavelengths [nm], mean values of a patch and its colour; see `spectra`. Raises BadData, OutOfRange.
+
+    Reflectances are a cubic spline between the scene's wavelengths, as everywhere, so that a lamp's lines are seen.
+    """
+    window, every = _window(scene, place), np.eye(len(scene.wavelengths))
+    content = sample_sums(scene, every, window).mean(axis=(1, 2))
+    weights, white = _eye(scene)
+    xyz = weights @ content
+    color = readable(srgb(0.4 / (xyz[1] or 1.0) * xyz[:, None, None], white)[0, 0])
+    wavelengths, light = scene.wavelengths, scene.illuminant
+    if quantity == "reflectance":
+        values = scene.content.on_host().surfaces.weighted(every, window).mean(axis=(1, 2))
+    else:
+        from scipy.interpolate import CubicSpline
+
+        own = light.wavelengths
+        fine = np.union1d(wavelengths, own[(own > wavelengths[0]) & (own < wavelengths[-1])])
+        if len(fine) > len(wavelengths):
+            content, wavelengths = CubicSpline(wavelengths, content)(fine), fine
+        values = content * light.at(wavelengths)
+        if quantity == "radiance":
+            values = values * PLANCK * LIGHT_SPEED / (1e-9 * wavelengths)
+    return wavelengths, values, color
+
+
+def inspect(scene: Scene, *, quantity: str = "radiance"):
+    """A scene beside the spectra of pixels that are clicked in it; a right click takes all away.
+
+    Returns the figure of matplotlib, which draws anew while its window, or a notebook's `%matplotlib widget`, is open.
+    Raises as `scene` and `spectra`.
+    """
+    scene = viewed(checked_scene(scene))
+    figure, axes = panels(None, 1, 2, (11.0, 4.4))
+    left, right = axes[0]
+    draw_scene(scene, left)
+    spectra(scene, None, right, quantity=quantity)
+    places: list[tuple[int, int]] = []
+
+    def clicked(event):
+        if event.inaxes is not left:
+            return
+        rows, cols = scene.shape
+        places[:] = [] if event.button == 3 else [*places, (min(max(round(event.xdata), 0), cols - 1),
+                                                            min(max(round(event.ydata), 0), rows - 1))]
+        right.clear()
+        spectra(scene, places or None, right, quantity=quantity)
+        for mark in list(left.lines):
+            mark.remove()
+        for line, (col, row) in zip(right.lines, places, strict=False):
+            left.plot(col, row, "s", color=line.get_color(), markeredgecolor="w")
+        figure.canvas.draw_idle()
+
+    figure.canvas.mpl_connect("button_press_event", clicked)
+    return figure
+
+
+draw_scene = scene  # under a name that an argument does not hide
+
+
+def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto"):
+    """The irradiance that a camera's lens makes of a scene, as sRGB: the image of a white diffuser is white.
+
+    A sensor that sees as the CIE 1931 observer takes the place of the camera's own, on the same pixels, so that blur
+    of all kinds and fall-off are in it, and nothing of the sensor but its pitch and aperture. device: see
+    `gpusim.Simulator`. Returns the axes. Raises BadData, Missing, and as `Simulator`.
+    """
+    codes, lux = irradiance_codes(camera, scene, device)
+    rows, cols = codes.shape[:2]
+    return image(axes_of(ax, picture_size((rows, cols))), codes, f"{scene.name} behind {camera.name}: irradiance, "
+                 f"f/{camera.optics.f_number:g}, white {lux:.3g} lx")
+
+
+def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.ndarray, float]:
+    """Codes 0 .. 1 (rows, cols, 3) in sRGB of the irradiance behind a lens, and the illuminance that is white [lx]."""
+    from gpusim.simulator import Simulator
+
+    camera, scene = checked_camera(camera), checked_scene(scene)
+    eye = energy_from_photons(cmf())
+    peak = float(eye.values.max())
+    edge = np.array([[0.0]] * 3)
+    seen = Spectrum(np.concatenate([[SHORTEST], [eye.wavelengths[0] - 1], eye.wavelengths, [eye.wavelengths[-1] + 1],
+                                    [LONGEST]]),
+                    np.concatenate([edge, edge, eye.values / peak, edge, edge], axis=1), "CIE 1931 observer")
+    own = camera.sensor
+    sensor = replace(own, qe=seen, channels=tuple("XYZ"), cfa=("XYZ",), stacked=True, bits=FLOAT_BITS, noise=Noise(),
+                     microlens=None, vignetting=None, exposure_time=1.0, binning=(1, 1), gain=None,
+                     conversion_gain=None, adc_range=None, black_level=0, analog_offset=0.0, row_time=0.0)
+    plain = replace(camera, sensor=sensor, processor=Processor(color="none", white_balance="none"), display=Display())
+    simulator = Simulator(plain, device=device)
+    height, width = own.aperture
+    to_lux = LUMINOUS_EFFICACY * peak / (height * width)
+    xyz = to_lux * np.asarray(simulator.device.numpy(simulator.program(scene).output("electrons")), np.float64)
     if scene.light_is_known:
-        white = weights.sum(1)
-        if not white[1] > 0:
-            raise BadData(f"{scene.name}: its light cannot be seen; wanted some within 360 .. 830 nm")
+        white = to_lux * electrons_per_content(scene, plain).sum(1)
         return srgb(xyz / white[1], white / white[1]), float(white[1])
     bright = float(np.percentile(xyz[1], BRIGHT)) or 1.0
     return srgb(xyz / bright), bright
 
 
-def picture_size(shape) -> tuple[float, float]:
-    """Inches of a figure for a picture of (rows, cols) with a title."""
-    rows, cols = shape
-    width = min(8.0, 5.0 * cols / rows)
-    return max(width, 3.5), max(width * rows / cols, 1.5) + 0.5
+def _eye(scene):
+    """Weights of a scene's wavelengths for XYZ [cd m-2], and the white of its light over its luminance, or None."""
+    weights = LUMINOUS_EFFICACY * product_weights(scene.wavelengths, energy_from_photons(cmf()), scene.illuminant)
+    if not scene.light_is_known:
+        return weights, None
+    white = weights.sum(1)
+    if not white[1] > 0:
+        raise BadData(f"{scene.name}: its light cannot be seen; wanted some within 360 .. 830 nm")
+    return weights, white / white[1]
+
+
+def _places(scene, at):
+    """Patches that were asked for, and what they are called."""
+    if at is None:
+        return [(0, 0, *scene.shape[::-1])], ["all of the frame"]
+    places = list(at) if isinstance(at, (list, tuple, np.ndarray)) and len(at) and np.ndim(at[0]) else [at]
+    return places, ["({})".format(", ".join(map(str, place))) if np.ndim(place) else str(place) for place in places]
+
+
+def _window(scene, place):
+    """Samples of a pixel or a region of the frame, as slices of the content's rows and columns."""
+    try:
+        numbers = [index(one) for one in place]
+    except TypeError:
+        numbers = []
+    if len(numbers) not in (2, 4):
+        raise BadData(f"at = {shown(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
+                      "list of such")
+    left, top = numbers[:2]
+    right, bottom = numbers[2:] or (left + 1, top + 1)
+    rows, cols = scene.shape
+    if not (0 <= left < right <= cols and 0 <= top < bottom <= rows):
+        raise OutOfRange("at", tuple(numbers), f"columns 0 .. {cols - 1} and rows 0 .. {rows - 1} of the frame, right "
+                         "and bottom beyond left and top")
+    ratio, window = scene.samples_per_pixel, []
+    for first, last, pixels, samples in ((top, bottom, rows, scene.samples[0]), (left, right, cols, scene.samples[1])):
+        start = scene.margin + frame_start(samples, pixels, ratio)
+        low = int(start + first * ratio + 1e-9)
+        window.append(slice(low, max(low + 1, ceil(start + last * ratio - 1e-9))))
+    return tuple(window)

@@ -5,18 +5,13 @@ from math import log10
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.data.charts import colorchecker_patches
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.raw_noise import RawNoise
-from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
-from gpusim.measure.difference import ciede2000
-from gpusim.measure.ideal import ideal
 from gpusim.measure.sfr import mtf50, sfr
 from gpusim.program.program import Program
 
 BINS, SOME = 64, 60000  # of the histogram; pixels in it, about
-INSIDE = 8  # of a patch's side is left out at each of its borders, where the lens blurs them
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, as Rec. 709 and sRGB have it
 SPAN = 4.0  # root mean squares of the error from grey to full colour
 
@@ -57,31 +52,6 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
     seen = found.frequencies <= 1
     return {"frequencies": found.frequencies[seen].tolist(), "response": found.response[seen].tolist(),
             "mtf50": half, "angle": float(np.degrees(found.angle))}
-
-
-class Checker:
-    """The patches of a scene that is the chart "colorchecker", as a perfect camera shows them."""
-
-    def __init__(self, scene: Scene):
-        parts = colorchecker_patches(scene.shape[::-1])
-        side = parts[0][0].stop - parts[0][0].start
-        rim = max(1, side // INSIDE) if side > 2 else 0
-        self._parts = [tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts]
-        self._true = self._means(ideal(scene))
-
-    def _means(self, picture):
-        return np.stack([picture[part].mean(axis=(0, 1)) for part in self._parts])
-
-    def difference(self, linear, diffuser: float, display) -> float:
-        """Mean CIEDE2000 of the patches. linear: display RGB (rows, cols, 3), of a white diffuser `diffuser`."""
-        shown = np.clip(self._means(np.asarray(linear, np.float64)) / diffuser, 0, 1)
-        return float(ciede2000(shown @ display.xyz_from_rgb.T, self._true).mean())
-
-
-def checker_of(scene: Scene) -> Checker | None:
-    """The patches of a scene; None where it is another, or its light is not known."""
-    plain = scene.name == "colorchecker" and scene.view.is_plain and scene.light_is_known
-    return Checker(scene) if plain and scene.shape[0] >= 48 else None
 
 
 def error_map(mean, truth) -> np.ndarray:

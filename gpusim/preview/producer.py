@@ -11,8 +11,9 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.frame import Frame
 from gpusim.io.scenes import relit
+from gpusim.measure.checker import checker_of
 from gpusim.measure.mosaic import colored
-from gpusim.preview.measures import checker_of, edge, error_map, light, on_host
+from gpusim.preview.measures import edge, error_map, light, on_host
 from gpusim.preview.state import State
 from gpusim.report import Error
 from gpusim.simulator import Simulator
@@ -117,7 +118,8 @@ class Producer:
         if part is not None:
             found["edge"] = edge(linear, part)
         if checker is not None and linear.shape[:2] == scene.shape:
-            found["difference"] = checker.difference(linear, rendering.diffuser, exposure.camera.display)
+            differences = checker.differences(linear, rendering.diffuser, exposure.camera.display)
+            found["difference"] = float(differences.mean())
         return found
 
     def _updated(self, state, number, drafts):

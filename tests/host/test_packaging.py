@@ -57,6 +57,8 @@ ALLOWED = {
     "gpusim.plot": {"gpusim.domain", "gpusim.data", "gpusim.forecast", "gpusim.io", "gpusim.measure", "gpusim.optics",
                     "gpusim.options", "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.simulator",
                     "gpusim.truth"},
+    "gpusim.look": {"gpusim.data", "gpusim.domain", "gpusim.forecast", "gpusim.io", "gpusim.options", "gpusim.plot",
+                    "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
     "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},

@@ -1,5 +1,6 @@
 """What is drawn, read back from the axes, against formulas and other programs."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ import gpusim as gs
 from gpusim.data.charts import colorchecker_patches
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, Missing, OutOfRange, UnknownName
+from gpusim.forecast import Forecast
 from gpusim.measure import sfr
 from gpusim.measure.mosaic import colored
 
@@ -101,7 +103,7 @@ def test_psf_has_its_first_dark_ring_at_the_airy_radius():
 
 
 def test_psf_draws_all_channels_at_one_scale():
-    figure = gs.plot.psf(PHONE)
+    figure = gs.plot.psf(PHONE.with_(f_number=8))
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:6] == ["450 nm", "550 nm", "650 nm", "channel R", "channel G", "channel B"]
     assert len({tuple(axes.images[0].get_extent()) for axes in figure.axes[:6]}) == 1
@@ -184,12 +186,164 @@ def test_sfr_of_a_gaussian_edge_is_marked_where_it_is_a_half(ax):
     assert label.endswith(" cycle/mm") and float(label.split()[1]) == pytest.approx(half, rel=5e-3)
 
 
-def test_sfr_of_a_camera_has_all_channels():
+def test_sfr_of_a_camera_has_all_channels(monkeypatch):
+    monkeypatch.setattr("gpusim.plot.pictures.EDGE", (120, 100))
+    monkeypatch.setattr("gpusim.plot.pictures.FRAMES", 2)
     axes = gs.plot.sfr(gs.open_camera("mono"), device="numpy")
     assert axes.get_legend().get_texts()[0].get_text().startswith("W: MTF50")
-    frame = gs.Simulator(PHONE, device="numpy")(gs.chart("slanted-edge", size=(200, 160)))
+    frame = gs.Simulator(PHONE, device="numpy")(gs.chart("slanted-edge", size=(120, 100)))
     assert [text.get_text()[:8] for text in gs.plot.sfr(frame).get_legend().get_texts()] == [
         "R: MTF50", "G: MTF50", "B: MTF50"]
+
+
+def test_spectra_are_those_of_the_patch(ax):
+    """Under FL11, whose lines a 10 nm scene would miss: reflectance times the lamp at its own 5 nm, in watts."""
+    scene = gs.chart("colorchecker", size=(96, 64), light="FL11", samples_per_pixel=2)
+    (rows, cols), number = colorchecker_patches((96, 64))[18], 18  # white
+    gs.plot.spectra(scene, (cols.start + 2, rows.start + 2), ax)
+    (wavelengths, drawn), = lines(ax).values()
+    lamp = colour.SDS_ILLUMINANTS["FL11"]
+    at = np.isin(wavelengths, lamp.wavelengths)
+    power = lamp[wavelengths[at]] / lamp[560.0]
+    table = reflectances("colorchecker").at(wavelengths[at], outside=None)[number]
+    shape = drawn[at] / drawn[wavelengths == 560]
+    np.testing.assert_allclose(shape, power * table / table[wavelengths[at] == 560], rtol=0.03)  # linear, not cubic
+    assert len(set(wavelengths % 10)) == 2
+    eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    luminance = 683 * 5 * (drawn[at] * np.array([eye[one][1] for one in wavelengths[at]])).sum()
+    assert luminance == pytest.approx(100 * table.mean(), rel=0.05)  # white of 100 cd m-2 times the patch's
+
+
+def test_spectra_of_regions_are_their_means():
+    values = np.random.default_rng(4).random((3, 8, 12)).astype(np.float32)
+    scene = gs.scene_from(values, [500.0, 550.0, 600.0], light="E")
+    axes = gs.plot.spectra(scene, [(2, 1), (3, 2, 7, 6)], quantity="reflectance")
+    (_, pixel), (_, region) = lines(axes).values()
+    np.testing.assert_allclose(pixel, values[:, 1, 2], rtol=1e-6)
+    np.testing.assert_allclose(region, values[:, 2:6, 3:7].mean(axis=(1, 2)), rtol=1e-6)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["(2, 1)", "(3, 2, 7, 6)"]
+
+
+def test_a_click_draws_the_spectrum_of_the_pixel():
+    from matplotlib.backend_bases import MouseEvent
+
+    scene = gs.chart("colorchecker", size=(96, 64))
+    figure = gs.plot.inspect(scene)
+    left, right = figure.axes
+    figure.canvas.draw()
+
+    def click(col, row, button=1):
+        x, y = left.transData.transform((col, row))
+        event = MouseEvent("button_press_event", figure.canvas, x, y, button)
+        figure.canvas.callbacks.process("button_press_event", event)
+
+    assert list(lines(right)) == ["all of the frame"]
+    click(20, 12)
+    click(40.3, 30.2)
+    assert list(lines(right)) == ["(20, 12)", "(40, 30)"] and len(left.lines) == 2
+    click(0, 0, button=3)
+    assert list(lines(right)) == ["all of the frame"] and not left.lines
+
+
+def test_optical_image_is_the_camera_equation():
+    """Even light: L pi / (1 + 4 N^2) T lux in the middle, cos^4 less in the corner; one colour, that of the surface."""
+    camera = PHONE.with_(f_number=4, transmission=0.5)
+    axes = gs.plot.optical_image(camera, gs.chart("flat", size=(48, 32), luminance=200.0, light="A"), device="numpy")
+    lux = 200 * 0.5 * np.pi / (1 + 4 * 16)
+    assert f"white {lux:.3g} lx" in axes.get_title()
+    codes = np.asarray(axes.images[0].get_array())
+    linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    pitch, focal = camera.sensor.pixel_pitch, camera.optics.focal_length
+    y, x = ((np.arange(n) - (n - 1) / 2) * pitch / focal for n in (32, 48))
+    fall = (1 + y[:, None] ** 2 + x**2) ** -2
+    np.testing.assert_allclose(linear, 0.18 * fall[..., None] * np.ones(3), rtol=2e-3)  # grey is white's colour
+
+
+# ------------------------------------------------------------------------------------------------- noise and errors
+
+
+@pytest.fixture(scope="module")
+def checker():
+    scene = gs.chart("colorchecker", size=(96, 64))
+    return scene, gs.Simulator(PHONE, device="numpy")(scene, seed=2)
+
+
+def test_noise_is_as_wide_as_is_expected(checker):
+    """Of n pixels the sigma spreads by 1 / sqrt(2 n), the mean by 1 / sqrt(n): 5 of these; counts add up to 1."""
+    axes = gs.plot.noise(checker[1])
+    (normal_x, normal), = (data for label, data in lines(axes).items() if label == "normal")
+    np.testing.assert_allclose(normal, np.exp(-(normal_x**2) / 2) / (2 * np.pi) ** 0.5)
+    assert len(lines(axes)) == 4
+    for label, (x, share) in lines(axes).items():
+        if label != "normal":
+            count, mean, sigma = map(float, re.findall(r"[+-]?\d+\.?\d*", label))
+            assert abs(mean) < 5 / count**0.5 and abs(sigma - 1) < 5 / (2 * count) ** 0.5 + 0.01  # rounding's shape
+            assert (share * (x[1] - x[0])).sum() == pytest.approx(1, abs=0.01)
+
+
+def test_photon_transfer_finds_what_the_sensor_was_given():
+    sensor = PHONE.sensor
+    axes = gs.plot.photon_transfer(PHONE, device="numpy")
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    gain = float(next(one for one in labels if one.startswith("photons")).split()[3])
+    dark = float(next(one for one in labels if one.startswith("dark")).split()[3])
+    assert gain == pytest.approx(sensor.gain_dn_per_electron, rel=0.02)  # 96 x 96 pixels, 16 levels: 0.4 %
+    assert dark == pytest.approx(sensor.read_sigma, rel=0.05)  # 96 x 96 pixels: 0.7 %, and dark offsets none
+    x, y = lines(axes)["frames"]
+    below = x < 0.6 * x.max()
+    expected = np.sqrt(gain * x[below] + y[x.argmin()] ** 2)
+    np.testing.assert_allclose(y[below], expected, rtol=0.06)  # 1 / sqrt(2 x 9216) is 0.7 % of each of the two
+
+
+def test_colour_errors_are_colour_sciences(checker):
+    scene, frame = checker
+    axes = gs.plot.color_checker(frame, scene)
+    heights = [bar.get_height() for bar in axes.patches]
+    table = reflectances("colorchecker").at(np.arange(400.0, 701.0), outside=None)
+    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(400, 700, 1))
+    light = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(400, 700, 1))
+    white, ones = np.array([0.3127, 0.3290]), np.ones(301)
+    lit = colour.sd_to_XYZ(colour.SpectralDistribution(ones, np.arange(400.0, 701.0)), cmfs, light) / 100
+    for number, (rows, cols) in enumerate(colorchecker_patches((96, 64))):
+        own = np.clip(frame.linear[rows, cols][1:-1, 1:-1].mean(axis=(0, 1)) / frame.rendering.diffuser, 0, 1)
+        seen = colour.RGB_to_XYZ(own, "sRGB", white)
+        true = colour.sd_to_XYZ(colour.SpectralDistribution(table[number], np.arange(400.0, 701.0)), cmfs, light) / 100
+        true = colour.chromatic_adaptation(true, lit, colour.xy_to_XYZ(white), transform="Bradford")
+        expected = colour.delta_E(*(colour.XYZ_to_Lab(one, white) for one in (seen, true)), method="CIE 2000")
+        assert heights[number] == pytest.approx(expected, abs=0.15)  # 10 nm: lines or splines
+    drawn = gs.plot.delta_e(frame, scene).images[0].get_array()
+    assert drawn.shape == scene.shape and drawn.min() >= 0
+
+
+def test_error_map_is_electrons_against_the_reference():
+    """The reference on the reference has none but float32's; a lens left out has all of it."""
+    scene, camera = replace(gs.chart("colorchecker", size=(48, 32)), border="reflect"), PHONE
+    axes = gs.plot.error(gs.Simulator(camera, device="numpy"), scene)
+    assert np.abs(axes.images[0].get_array()).max() < 0.05
+    simulator = gs.Simulator(camera, device="numpy", tolerance=0.3)
+    frame = simulator(scene, verify=True)
+    axes = gs.plot.error(simulator, scene)
+    assert np.abs(axes.images[0].get_array()).max() == pytest.approx(frame.report.error.max_sigma, rel=1e-5)
+
+
+def test_plan_bars_are_the_reports(checker):
+    report = checker[1].report
+    figure = gs.plot.plan(report)
+    times, errors = figure.axes
+    names = [text.get_text() for text in times.get_yticklabels()]
+    assert dict(zip(names, (bar.get_width() for bar in times.patches), strict=True)) == {
+        stage.stage: stage.ms for stage in report.stages if stage.ms}
+    assert errors.patches[-1].get_width() == report.account.total.rms
+    forecast = Forecast.of(gs.Simulator(PHONE, device="numpy", tolerance="preview"), checker[0])
+    figure = gs.plot.plan(forecast)
+    assert sum(bar.get_width() for bar in figure.axes[0].patches) == pytest.approx(sum(forecast.ms.values()))
+    assert "tolerance met" in figure.get_suptitle() and "99.9 %" in figure.axes[1].get_xlabel()
+
+
+def test_picture_and_efficiency_are_the_camera_s(checker):
+    np.testing.assert_array_equal(gs.plot.picture(checker[1]).images[0].get_array(), checker[1].rgb)
+    _, y = lines(gs.plot.efficiency(PHONE))["channel G"]
+    np.testing.assert_array_equal(y, PHONE.sensor.qe.values[1])
 
 
 # --------------------------------------------------------------------------------------------------------- refusals
@@ -209,6 +363,16 @@ def test_sfr_of_a_camera_has_all_channels():
     (lambda: gs.plot.snr(PHONE, seconds=-1), OutOfRange, "seconds = -1 s"),
     (lambda: gs.plot.raw(PHONE), BadData, "raw: Camera, wanted a frame"),
     (lambda: gs.plot.scene("colorchecker"), BadData, "scene: str, wanted a Scene"),
+    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (9, 0)), OutOfRange, r"at = \(9, 0\): allowed is columns"),
+    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), 3), BadData, "at = 3: wanted a pixel"),
+    (lambda: gs.plot.spectra(gs.chart("flat", size=(9, 9)), (1.5, 2)), BadData, "wanted a pixel"),
+    (lambda: gs.plot.spectra(gs.chart("flat"), quantity="x"), UnknownName, "unknown quantity 'x'"),
+    (lambda: gs.plot.optical_image("phone", 3), BadData, "camera: str, wanted a Camera"),
+    (lambda: gs.plot.noise(PHONE), BadData, "noise: Camera, wanted a frame"),
+    (lambda: gs.plot.photon_transfer(3), BadData, "photon_transfer: int, wanted a PhotonTransfer"),
+    (lambda: gs.plot.delta_e(3, 3), BadData, "delta_e: int, wanted a frame"),
+    (lambda: gs.plot.error(PHONE, 3), BadData, "error: Camera, wanted a Simulator"),
+    (lambda: gs.plot.plan(PHONE), BadData, "plan: Camera, wanted a Forecast or"),
     (lambda: gs.plot.sfr(np.ones((9, 9))), BadData, "sfr: ndarray, wanted a Camera, a frame"),
 ])
 def test_bad_input_is_refused_in_one_line(call, error, words):

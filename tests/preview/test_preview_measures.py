@@ -14,10 +14,11 @@ from gpusim.data.charts import colorchecker_patches
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
 from gpusim.domain.motion import Motion
+from gpusim.measure.checker import Checker, checker_of
 from gpusim.measure.ideal import ideal
 from gpusim.preview.crop import Crop, enlarged
 from gpusim.preview.curves import histogram, response
-from gpusim.preview.measures import SPAN, Checker, checker_of, edge, error_map
+from gpusim.preview.measures import SPAN, edge, error_map
 from gpusim.preview.producer import Producer
 from gpusim.preview.state import State
 from gpusim.video.scenes import Moving, Still
@@ -55,9 +56,9 @@ def test_the_difference_of_a_checkers_patches():
         pair = [colour.XYZ_to_Lab(xyz[at][0], white)
                 for xyz in (other @ DISPLAY.xyz_from_rgb.T, true)]
         expected.append(colour.delta_E(*pair, method="CIE 2000"))
-    assert checker.difference(other, 1.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
-    assert checker.difference(2 * other, 2.0, DISPLAY) == pytest.approx(np.mean(expected), rel=1e-6)
-    assert checker.difference(inside, 1.0, DISPLAY) < 0.3 * np.mean(expected)
+    assert checker.differences(other, 1.0, DISPLAY).mean() == pytest.approx(np.mean(expected), rel=1e-6)
+    assert checker.differences(2 * other, 2.0, DISPLAY).mean() == pytest.approx(np.mean(expected), rel=1e-6)
+    assert checker.differences(inside, 1.0, DISPLAY).mean() < 0.3 * np.mean(expected)
     assert checker_of(gs.chart("ramp", size=(192, 128))) is None and checker_of(scene) is not None
 
 

@@ -1,0 +1,42 @@
+"""The patches of a ColorChecker in a picture, against what a perfect camera shows of them."""
+
+import numpy as np
+
+from gpusim.data.charts import colorchecker_patches
+from gpusim.domain.scene import Scene
+from gpusim.measure.difference import ciede2000
+from gpusim.measure.ideal import ideal
+
+INSIDE = 8  # of a patch's side is left out at each of its borders, where the lens blurs them
+LEAST = 48  # rows of a chart whose patches can be told apart
+
+
+class Checker:
+    """The patches of a scene that is the chart "colorchecker", as a perfect camera shows them on sRGB.
+
+    true: their mean XYZ, (24, 3), white Y = 1.
+    """
+
+    def __init__(self, scene: Scene):
+        parts = colorchecker_patches(scene.shape[::-1])
+        side = parts[0][0].stop - parts[0][0].start
+        rim = max(1, side // INSIDE) if side > 2 else 0
+        self._parts = [tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts]
+        self.true = self._means(ideal(scene))
+
+    def _means(self, picture):
+        return np.stack([picture[part].mean(axis=(0, 1)) for part in self._parts])
+
+    def differences(self, linear, diffuser: float, display) -> np.ndarray:
+        """CIEDE2000 of each patch's mean, (24,), from dark skin to black.
+
+        linear: display RGB (rows, cols, 3), of a white diffuser `diffuser`.
+        """
+        shown = np.clip(self._means(np.asarray(linear, np.float64)) / diffuser, 0, 1)
+        return ciede2000(shown @ display.xyz_from_rgb.T, self.true)
+
+
+def checker_of(scene: Scene) -> Checker | None:
+    """The patches of a scene; None where it is another, or its light is not known."""
+    plain = scene.name == "colorchecker" and scene.view.is_plain and scene.light_is_known
+    return Checker(scene) if plain and scene.shape[0] >= LEAST else None

@@ -1,0 +1,94 @@
+"""How far frames are from the truth, and what a plan or a frame costs and errs, cause by cause."""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+from gpusim.domain.scene import checked_scene
+from gpusim.domain.tolerance import Tolerance
+from gpusim.forecast import Forecast
+from gpusim.plot.canvas import BAR, CHANNELS, QUIET, axes_of, error_map, panels, picture_size
+from gpusim.report import Error, Report
+from gpusim.simulator import Simulator
+from gpusim.truth import require_truth, seen
+
+HIGH = 99.9  # percentile of |error| that has full colour
+UNITS = {"rms": "relative rms error of the mean electrons", "p999_sigma": "error / noise sigma, 99.9 % of pixels",
+         "max_sigma": "error / noise sigma, largest"}
+
+
+def error(simulator: Simulator, scene, ax=None):
+    """Map of a simulator's error: mean electrons less the float64 reference's, over each pixel's own noise.
+
+    Of stacked pixels, that of the layer with the largest error. Returns the axes. Raises BadData (frames whose blur
+    varies and that are too large for the reference), Missing, OutOfRange, DoesNotFit.
+    """
+    if not isinstance(simulator, Simulator):
+        raise BadData(f"error: {type(simulator).__name__}, wanted a Simulator")
+    require_truth(simulator.camera, checked_scene(scene))
+    mean, truth = seen(simulator, scene, simulator.expose(scene))
+    if mean.ndim == 1:
+        raise BadData(f"error: the blur varies over a frame of {scene.shape[1]}x{scene.shape[0]} pixels, of which the "
+                      "reference computes parts alone; wanted a smaller scene")
+    read = simulator.camera.sensor.read_sigma
+    sigma = (mean - truth) / np.sqrt(np.maximum(truth + read**2, 1.0))
+    whole = Error.between(mean, truth, read)
+    if sigma.ndim == 3:
+        sigma = sigma[np.abs(sigma).max(axis=(1, 2)).argmax()]
+    most = max(float(np.percentile(np.abs(sigma), HIGH)), 1e-12)
+    words = f"rms {whole.rms:.2g}, largest {whole.max_sigma:.2g} sigma"
+    if simulator.tolerance is not None:
+        words = f"{whole.nearest(simulator.tolerance)[1]} asked"
+    return error_map(axes_of(ax, picture_size(sigma.shape, BAR)), sigma,
+                     f"{scene.name} by {simulator.camera.name}: error {words}", "error / sigma of the pixel's noise",
+                     cmap="RdBu_r", vmin=-most, vmax=most)
+
+
+def plan(what, figure=None):
+    """Bars of a plan or of a frame: time of every stage, and error of every cause with all together.
+
+    what: a Forecast, what `gpusim plan` prints (`gpusim.forecast.Forecast.of(simulator, scene)`), or a frame's Report.
+    The error's figure is the one that the tolerance binds most. figure: of matplotlib, to draw on; None: a new one.
+    Returns it. Raises BadData, Missing.
+    """
+    if isinstance(what, Forecast):
+        account, tolerance, ms = what.plan.account, what.plan.tolerance, what.ms
+        verdict, title = what.plan.verdict, f"{what.plan.scene.name} by {what.plan.camera.name} on {what.device}: "
+        title += f"about {sum(ms.values()):.3g} ms a frame, predicted"
+    elif isinstance(what, Report):
+        account, tolerance, verdict = what.account, what.tolerance, what.verdict
+        ms = {stage.stage: stage.ms for stage in what.stages}
+        title = (f"{what.scene['name']} by {what.camera['name']} on {what.device['name']}: {what.ms:.3g} ms of "
+                 f"{what.wall_ms:.3g} ms")
+    else:
+        raise BadData(f"plan: {type(what).__name__}, wanted a Forecast or a frame's Report")
+    _, name, *_ = account.total.nearest(tolerance or Tolerance(rms=1.0))
+    errors = {cause: getattr(bound, name) for cause, bound in account.bounds.items()}
+    errors = {cause: value for cause, value in errors.items() if value > 0} | {"all together":
+                                                                             getattr(account.total, name)}
+    ms = {stage: value for stage, value in ms.items() if value > 0}
+    height = 1.6 + 0.3 * max(len(ms), len(errors) + 1)
+    figure, axes = panels(figure, 1, 2, (12.0, height))
+    _bars(axes[0, 0], ms, CHANNELS["B"], "time [ms]", "{:.3g}")
+    bars = _bars(axes[0, 1], errors, CHANNELS["R"], UNITS[name], "{:.2g}")
+    bars[-1].set_color("0.3")
+    asked = None if tolerance is None else getattr(tolerance, name)
+    if asked:
+        axes[0, 1].axvline(asked, color=QUIET, linestyle="--", label=f"tolerance {asked:.2g}")
+        axes[0, 1].legend(frameon=False, fontsize="small", loc="best")
+        axes[0, 1].set_xlim(right=1.2 * max(asked, *errors.values()))
+    if verdict is not None:
+        title += f"; tolerance {'met' if verdict.met else 'NOT met'}"
+    figure.suptitle(title, fontsize="medium")
+    return figure
+
+
+def _bars(ax, values, color, label, form):
+    """Horizontal bars from the top down, each with its figure."""
+    bars = ax.barh(range(len(values)), list(values.values()), color=color, height=0.7)
+    ax.set_yticks(range(len(values)), list(values))
+    ax.invert_yaxis()
+    ax.bar_label(bars, [form.format(value) for value in values.values()], padding=3, fontsize="small")
+    ax.set_xlim(right=1.18 * max(values.values(), default=0.0) or 1.0)
+    ax.set_xlabel(label)
+    ax.spines[["top", "right"]].set_visible(False)
+    return bars
