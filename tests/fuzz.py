@@ -256,7 +256,8 @@ def reading(reader, folder):
     if reader == "envi":
         return folder / "input.envi", read_envi
     if reader == "listing":
-        (folder / "other.txt").write_text(instrument_files.NEIGHBOUR)
+        for number, text in enumerate(instrument_files.NEIGHBOURS):
+            (folder / f"{number}.txt").write_text(text)
         return folder / "input.txt", read_listing
     return folder / f"input{SUFFIXES.get(reader, '.npz')}", READ.get(reader, open_scene)
 
@@ -270,10 +271,11 @@ def read_envi(path):
 
 
 def read_listing(path):
-    """Read a listing by itself, and with one of another wavelength where they go together."""
+    """Read a listing by itself, and with one of another wavelength or another field point where they go together."""
     read_zemax_psf(path)
-    with suppress(GpusimError):
-        read_zemax_psf([path.parent / "other.txt", path], corner=3e-3)
+    for number in range(len(instrument_files.NEIGHBOURS)):
+        with suppress(GpusimError):
+            read_zemax_psf([path.parent / f"{number}.txt", path], corner=instrument_files.CORNER)
 
 
 def flaw(error) -> str | None:

@@ -133,7 +133,7 @@ def listings():
     """Zemax's listings: on axis and at a field point, the old letters and the new ones."""
     random, made = np.random.default_rng(7), []
     for kind, field, x, y, encoding in (("FFT", "0.00 deg", 0, 0, "cp1252"), ("FFT", "10.00 (deg)", 0, 2.5, "utf-16"),
-                                        ("Huygens", "7.00 mm", 1.5, 0, "utf-8-sig")):
+                                        ("Huygens", "7.00 mm", 2.5, 0, "utf-8-sig")):
         said = {"centre": "Reference Coordinates", "middle": "row 5, column 4", "values": "normalized to the peak"}
         if kind == "Huygens":
             said = {"centre": "Center coordinates", "middle": "5, 4", "values": "relative intensity"}
@@ -143,8 +143,11 @@ def listings():
     return made
 
 
-NEIGHBOUR = LISTING.format(kind="FFT", um=0.45, field="0.00 deg", centre="Reference Coordinates", x=0, y=0,
-                           middle="row 5, column 4", values="normalized to the peak") + "1 2 3 4 5 6 7\n" * 8
+# listings that a damaged one may go with: of another wavelength on axis, and of the same
+NEIGHBOURS = [LISTING.format(kind="FFT", um=um, field="0.00 deg", centre="Reference Coordinates", x=0, y=0,
+                             middle="row 5, column 4", values="normalized to the peak") + "1 2 3 4 5 6 7\n" * 8
+              for um in (0.45, 0.55)]
+CORNER = 2.5e-3  # [m] where the field points lie
 WORDS_OF_LISTINGS = (*CELLS, "inf", "1e-300", "1e300", "1E+5", "-0.5", "9" * 300, "99999", "m", "mm", "nm", "in",
                      "furlong", "row 1, column 1", "0.4 to 0.7", "8 by 8", "0 by 0", "99999 by 99999", "Values are x",
                      "PSF")
@@ -155,7 +158,7 @@ def listing(data: bytes, random) -> bytes:
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "cp1252"
     lines = data.decode(encoding, "replace").split("\n")
     for _ in range(int(random.integers(1, 4))):
-        where, kind = int(random.integers(len(lines))), int(random.integers(7))
+        where, kind = int(random.integers(min(len(lines), pick(random, (14, 14, 99))))), int(random.integers(7))
         if kind <= 2:
             words = re.findall(r"[^\s:,]+", lines[where]) or [" "]
             lines[where] = lines[where].replace(pick(random, words), pick(random, WORDS_OF_LISTINGS), 1)

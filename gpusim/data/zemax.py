@@ -17,11 +17,12 @@ UNITS = {"µm": 1e-6, "μm": 1e-6, "um": 1e-6, "micrometers": 1e-6, "nm": 1e-9, 
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 UNIT = r"([^\s\d.,()]+)"
 SPACING = re.compile(rf"Data spacing is {NUMBER} {UNIT}\.", re.M)
-LIGHT = re.compile(rf"^{NUMBER}(?: to {NUMBER})? {UNIT} at (.+?)\s*$", re.M)
+LIGHT = re.compile(rf"^{NUMBER}(?: to {NUMBER})? {UNIT} at (.+)$", re.M)
 GRID = re.compile(r"^Image grid size *: (\d{1,5}) by (\d{1,5})", re.M)
 MIDDLE = re.compile(r"^Center point is *: (?:row )?(\d{1,5}), (?:column )?(\d{1,5})", re.M)
 CENTRE = re.compile(rf"^(?:Center|Reference) coordinates *: *{NUMBER}, *{NUMBER}(?:[ \t]+{UNIT})?", re.M | re.I)
 VALUES = re.compile(r"^Values are .*$", re.M)
+WAVELENGTHS, SPACINGS, PLACES = (1e-7, 1e-4), (1e-10, 1e-2), (-10.0, 10.0)  # [m] that are believed
 FINEST = 1e-9  # relative, of spacings and wavelengths that are printed
 
 
@@ -53,19 +54,17 @@ def _listing(path) -> Traced:
         first, last, unit, field = _found(LIGHT, head, "wavelength and field").groups()
         if last is not None and abs(float(last) / max(float(first), 1e-30) - 1) > FINEST:
             raise BadData(f"of {first} to {last} {unit}: wanted a listing of a single wavelength each")
+        wavelength = _within("wavelength", first, unit, WAVELENGTHS)
         size, its = _found(SPACING, head, "Data spacing").groups()
-        spacing = float(size) * _unit(its)
-        if not spacing > 0:
-            raise BadData(f"Data spacing is {size} {its}: wanted a length")
+        spacing = _within("Data spacing", size, its, SPACINGS)
         middle = MIDDLE.search(head)
         row, col = (int(item) - 1 for item in middle.groups()) if middle else (rows // 2, cols // 2)
-        if not (row < rows and col < cols):
+        if not (0 <= row < rows and 0 <= col < cols):
             raise BadData(f"Center point is row {row + 1}, column {col + 1} of {rows} x {cols}")
         x, y, length = centre.groups() if (centre := CENTRE.search(head)) else (0, 0, None)
-        scale = _unit(length or "mm")
+        x, y = (_within("Center coordinates", item, length or "mm", PLACES) for item in (x, y))
         # the first line is the top one
-        return Traced(round(float(first) * _unit(unit) * 1e9, 6), values[::-1], spacing, (rows - 1 - row, col),
-                      (float(x) * scale, float(y) * scale), field)
+        return Traced(round(wavelength * 1e9, 6), values[::-1], spacing, (rows - 1 - row, col), (x, y), field.strip())
 
 
 def _found(pattern, head, what):
@@ -75,10 +74,14 @@ def _found(pattern, head, what):
     return found
 
 
-def _unit(name):
-    if name.lower().rstrip(".") not in UNITS:
-        raise BadData(f"unit {shown(name)}: wanted one of {', '.join(UNITS)}")
-    return UNITS[name.lower().rstrip(".")]
+def _within(what, number, unit, limits):
+    """A length [m] that is believed."""
+    if unit.lower().rstrip(".") not in UNITS:
+        raise BadData(f"unit {shown(unit)}: wanted one of {', '.join(UNITS)}")
+    length, (low, high) = float(number) * UNITS[unit.lower().rstrip(".")], limits
+    if not low <= length <= high:
+        raise BadData(f"{what}: {number} {unit}, wanted {low:g} .. {high:g} m")
+    return length
 
 
 def _values(path, text, rows, cols):
