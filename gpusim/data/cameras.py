@@ -6,6 +6,7 @@ import io
 import os
 import re
 import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,20 @@ from gpusim.data.psf import read_psf
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.camera import Camera
-from gpusim.domain.camera_keys import MICRO, SECTIONS, section_fields
+from gpusim.domain.camera_keys import MICRO, SECTIONS, key_spoken_of, section_fields
 from gpusim.domain.display import Display
-from gpusim.domain.errors import LONGEST_VALUE, BadFile, UnknownName, near, one_line, shown
+from gpusim.domain.errors import (
+    LONGEST_VALUE,
+    BadData,
+    BadFile,
+    DoesNotFit,
+    GpusimError,
+    OutOfRange,
+    UnknownName,
+    near,
+    one_line,
+    shown,
+)
 from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
@@ -38,6 +50,7 @@ LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
 LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
 # A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII)
+_KEY = re.compile(r"\[(\w+)\] (\w+)")  # in an error of a camera file
 
 
 def camera_names() -> list[str]:
@@ -53,29 +66,45 @@ def open_camera(name_or_path) -> Camera:
     those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
     name that is neither.
     """
-    return camera_of(*camera_table(name_or_path))
+    path, table = camera_table(name_or_path)
+    try:
+        return camera_of(path, table)
+    except BadFile as error:
+        key = _KEY.search(error.details)
+        where = key and next((file for file, own in _chain(name_or_path) if isinstance(own.get(key[1]), dict)
+                              and key[2] in own[key[1]]), path)
+        if where is None or where == path:
+            raise
+        raise BadFile(path, f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})") from error
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
     """A camera's file, and its keys, with those of its base. Raises as `open_camera`."""
-    path, table = _file_table(name_or_path)
-    name, own, chain = table.pop("name", path.stem), table, [path.resolve()]
-    base = own.pop("base", None if own else BASE)
-    while base is not None:
-        place = base if base in camera_names() else chain[-1].parent / base if type(base) is str else None
-        if place is None:
-            raise BadFile(chain[-1], f"base = {shown(base)}: wanted a camera's name or file")
-        if type(place) is not str and not os.path.exists(place):
-            raise BadFile(chain[-1], f"base = {shown(base)}: no such camera or file; cameras are "
-                                     f"{', '.join(camera_names())}")
-        file, below = _file_table(place)
-        if file.resolve() in chain:
-            raise BadFile(chain[-1], f"base = {shown(base)}: is based on this file itself")
-        chain.append(file.resolve())
-        base = below.pop("base", None)
-        below.pop("name", None)
+    (path, table), *bases = _chain(name_or_path)
+    name = table.pop("name", path.stem)
+    for file, below in bases:
         table = _over(anchored(file, below), table)
-    return path, {"name": name, **table}
+    return path, {**table, "name": name}
+
+
+def _chain(name_or_path):
+    """A camera's file, and those that it is based on, one on the other, each with the keys that it has itself."""
+    path, table = _file_table(name_or_path)
+    files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
+    yield path, table
+    while base is not None:
+        place = base if base in camera_names() else files[-1].parent / base if type(base) is str else None
+        if place is None:
+            raise BadFile(files[-1], f"base = {shown(base)}: wanted a camera's name or file")
+        if type(place) is not str and not os.path.exists(place):
+            raise BadFile(files[-1], f"base = {shown(base)}: no such camera or file; cameras are "
+                                     f"{', '.join(camera_names())}")
+        path, table = _file_table(place)
+        if path.resolve() in files:
+            raise BadFile(files[-1], f"base = {shown(base)}: is based on this file itself")
+        files.append(path.resolve())
+        base = table.pop("base", None)
+        yield path, table
 
 
 def anchored(path: Path, table: dict) -> dict:
@@ -127,8 +156,23 @@ def _file_table(name_or_path):
 
 def camera_of(path: Path, table: dict) -> Camera:
     """The camera of a file's keys, or of changed ones. path: its file, which errors name. Raises as `open_camera`."""
-    with named(path):  # the domain's own checks know the key but not the file
-        return _camera(path, dict(table))
+    with named(path):  # the domain's own checks know a field but not the file, and not the key in its unit
+        try:
+            return _camera(path, dict(table))
+        except (BadData, OutOfRange, UnknownName) as error:
+            key = key_spoken_of(table, error.details)
+            raise BadFile(path, f"{key}: {error.details}") if key else error from error
+
+
+@contextmanager
+def _named_by(path, label):
+    """While what a key names is looked up or read: errors say the camera's file and the key as well."""
+    try:
+        yield
+    except DoesNotFit:
+        raise
+    except GpusimError as error:
+        raise BadFile(path, f"{label}: {error.details}") from error
 
 
 def _require_short_integers(path, value):
@@ -162,10 +206,13 @@ def _camera(path, table):
 def _processor(path, fields):
     """Processor of its fields, with its filter table read; names are looked up while the file is known."""
     if "table" in fields:
-        fields["table"] = read_table(path.parent / fields["table"])
+        with _named_by(path, "[processor] table"):
+            fields["table"] = read_table(path.parent / fields["table"])
     processor = Processor(**fields)
-    reflectances(processor.training)
-    illuminant(processor.target)
+    with _named_by(path, "[processor] training"):
+        reflectances(processor.training)
+    with _named_by(path, "[processor] target"):
+        illuminant(processor.target)
     return processor
 
 
@@ -173,7 +220,8 @@ def _display(path, fields):
     """A display by its name, or of its own primaries, white and curve."""
     name = fields.pop("name", None)
     if not fields:
-        return open_display(name or "srgb")
+        with _named_by(path, "[display] name"):
+            return open_display(name or "srgb")
     if name in display_names():
         raise BadFile(path, f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
                             "give it another name")
@@ -182,7 +230,8 @@ def _display(path, fields):
 
 def _profile(path, sensor, noise):
     """Put what a DNG's noise profile tells into the fields of sensor and noise."""
-    profile = read_noise_profile(path.parent / sensor.pop("profile"))
+    with _named_by(path, "[sensor] noise_profile"):
+        profile = read_noise_profile(path.parent / sensor.pop("profile"))
     own = [*(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}) & sensor.keys(),
            *{"read", "reset", "adc", "row", "column"} & noise.keys()]
     if own:
@@ -209,7 +258,8 @@ def _calibrated(path, fields, sensor):
     if "distortion" in fields:
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
-        calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
+        with _named_by(path, "[optics] calibration"):
+            calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
     if "focal_length" not in fields:  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
         image_distance = calibration.fx * sensor["pixel_pitch"]
         fields["focal_length"] = image_distance / (1 + image_distance / fields.get("object_distance", np.inf))
@@ -229,7 +279,8 @@ def _lens(path, fields):
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:
-        fields["psf"] = read_psf(path.parent / fields["psf"])
+        with _named_by(path, "[optics] psf"):
+            fields["psf"] = read_psf(path.parent / fields["psf"])
         fields.setdefault("model", "measured")
     optics = Optics(**fields, wavefront=Wavefront(**aberrations))
     return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
@@ -296,11 +347,10 @@ def _curves(path, label, value):
         raise BadFile(path, f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
                             "wavelengths_nm and values")
     if value.endswith(".csv"):
-        return _read_csv(path.parent / value)
-    try:
+        with _named_by(path, label):
+            return _read_csv(path.parent / value)
+    with _named_by(path, label):
         spectrum = curve(value)
-    except UnknownName as error:
-        raise BadFile(path, f"{label}: {error}") from None
     return (Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value), tuple(CHANNELS[value]))
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import re
 
 import numpy as np
 
@@ -275,6 +276,7 @@ _DISPLAY = {
 }
 # fields that another one may stand for
 INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
+SPOKEN = {"diopters": "defocus"}  # fields of which the domain's messages speak as of another
 SECTIONS = {"optics": _OPTICS, "sensor": _SENSOR, "noise": _NOISE, "processor": _PROCESSOR, "display": _DISPLAY}
 
 
@@ -303,6 +305,24 @@ def section_fields(path, table, section, cls=None):
     if missing:
         raise BadFile(path, f"[{section}] lacks {', '.join(missing)}")
     return fields
+
+
+def key_spoken_of(table, message: str) -> str:
+    """The key, with its section and value, of the field that a message of the domain's classes begins with.
+
+    They speak of "optics.focal_length = -0.003 m" where a file has focal_length_mm = -3. "" where it says the key
+    already, or speaks of none that the table has.
+    """
+    section = message.partition(".")[0]
+    given = table.get(section, {}) if section in SECTIONS else {}
+    found = []
+    for key in given:
+        field = SECTIONS[section][key][0]
+        at = re.search(rf"\b{SPOKEN.get(field, field)}\b", message)
+        if at:
+            found.append((at.start(), key))
+    key = min(found, default=(0, ""))[1]
+    return f"[{section}] {key} = {shown(given[key])}" if key and key not in message else ""
 
 
 def value_of(label, read, value):

@@ -37,9 +37,9 @@ class Display:
             shapes = None
         if shapes != ((3, 2), (2,)):
             raise BadData("display: wanted (x, y) of three primaries and of the white, numbers")
-        for x, y in (*self.primaries, self.white):
+        for key, (x, y) in (*(("primaries", pair) for pair in self.primaries), ("white", self.white)):
             if not (0 <= x <= 1 and 0 < y <= 1 and x + y <= 1):
-                raise OutOfRange("display chromaticity", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
+                raise OutOfRange(f"display.{key}", f"({x}, {y})", "x >= 0, y > 0, x + y <= 1")
         if abs(np.linalg.det(_xyz(self.primaries))) < 1e-6:
             raise BadData(f"display.primaries = {self.primaries}: they lie on one line")
         if (np.linalg.solve(_xyz(self.primaries), _xyz([self.white])[:, 0]) <= 0).any():

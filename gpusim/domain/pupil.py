@@ -68,7 +68,11 @@ class Wavefront:
     __repr__ = brief
 
     def __post_init__(self):
-        zernike, heights = np.asarray(self.zernike, np.float64), np.asarray(self.heights, np.float64)
+        try:
+            zernike, heights = np.asarray(self.zernike, np.float64), np.asarray(self.heights, np.float64)
+        except (TypeError, ValueError):
+            raise BadData("optics.zernike: wanted a list of numbers, or one of them for each field height, equally "
+                          "long") from None
         seidel = tuple(float(value) for value in self.seidel)
         if zernike.ndim != (2 if heights.size else 1) or (heights.size and zernike.shape[0] != heights.size):
             raise BadData(f"optics.zernike: shape {zernike.shape} for {heights.size} field heights; wanted one list, "
@@ -81,7 +85,7 @@ class Wavefront:
             raise BadData(f"optics.seidel: wanted W040, W131, W222, W220, W311, got {len(seidel)} numbers")
         if not (np.abs(zernike).sum(-1).max(initial=0) <= LONGEST_WAVEFRONT
                 and np.abs(seidel).sum() <= LONGEST_WAVEFRONT):  # also refuses NaN
-            raise OutOfRange("optics wavefront", "more", f"up to {LONGEST_WAVEFRONT:g} waves in all")
+            raise OutOfRange("optics.zernike and optics.seidel", "more", f"up to {LONGEST_WAVEFRONT:g} waves in all")
         if not 100 <= self.reference <= 100000:
             raise OutOfRange("optics.reference_nm", self.reference, "100 <= reference_nm <= 100000")
         rows = tuple(map(tuple, zernike.tolist())) if heights.size else tuple(zernike.tolist())

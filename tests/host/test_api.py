@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -124,6 +125,60 @@ def test_bad_bases_are_refused_with_the_file_and_the_key(tmp_path, text, words):
     with pytest.raises(BadFile, match=words) as refused:
         gs.open_camera(write(tmp_path / "a.toml", text))
     assert str(tmp_path) in str(refused.value) and "\n" not in str(refused.value)
+
+
+TRIED = ("-1e30", "nan", "1e30", "-3", "99999", "true", "[]", "{a = 1}", '"zzz"', '"zzz.csv"', '"zzz.npz"', "[-1, -1]",
+         "[[-1, 2], [3]]", "1979-05-27")
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_errors_of_camera_files_name_the_file_and_the_key(section, tmp_path):
+    """Of every key, as it is written there, whatever is wrong with its value; a file that it names is said besides."""
+    path, refused = tmp_path / "own.toml", 0
+    for key in SECTIONS[section]:
+        for value in TRIED:
+            try:
+                gs.open_camera(write(path, f'base = "phone"\n[{section}]\n{key} = {value}\n'))
+            except gs.GpusimError as error:
+                refused += 1
+                assert isinstance(error, BadFile) and str(error).startswith(f"{path}: "), error
+                assert re.search(rf"\b{key}\b", str(error)) and "\n" not in str(error), error
+                if "no such file" in str(error):
+                    assert str(tmp_path / value.strip('"')) in str(error)
+    assert refused >= 9 * len(SECTIONS[section])
+
+
+@pytest.mark.parametrize("text, words", [
+    ("[optics]\nfocal_length_mm = -3", r"\[optics\] focal_length_mm = -3: optics.focal_length = -0.003 m: allowed is "),
+    ("[optics]\nfocal_length_mm = '4'", r"\[optics\] focal_length_mm = '4': wanted a number"),
+    ("[optics]\nfocal_length = 4", r"unknown key 'focal_length' in \[optics\]; did you mean 'focal_length_mm'"),
+    ("[sensor]\nread_e = 4", r"unknown key 'read_e' in \[sensor\]; did you mean 'read_e' in \[noise\]"),
+    ("[sensro]\nbits = 4", r"unknown section \[sensro\]; did you mean 'sensor'"),
+    ("[sensor]\nbits = 8\nbits = 9", r"not TOML: Cannot overwrite a value \(at line 4, column 9\)"),
+    ("[sensor]\nbits = ", r"not TOML: Invalid value \(at line 3, column "),
+    ("[sensor]\nqe = 'mine.csv'", r"\[sensor\] qe: .*mine.csv: wanted 2 numbers on every line after the first"),
+    ("[optics]\npsf = 'mine.csv'", r"\[optics\] psf: .*mine.csv: not "),
+    ("[optics]\ndefocus_diopters = 9e9", r"\[optics\] defocus_diopters = 9000000000.0: optics.defocus = "),
+    ("[optics]\nzernike_waves = [[0.1], [0.1, 0.2]]", r"\[optics\] zernike_waves = .*: wanted a list of numbers"),
+    ("[display]\nname = 'a'\nluminance_cd_per_m2 = 0", r"\[display\] luminance_cd_per_m2 = 0: display.luminance = 0 "),
+])
+def test_each_kind_of_error_of_a_camera_file(text, words, tmp_path):
+    """The key in the file's words and unit, what is wrong, and what is allowed or where the file is broken."""
+    write(tmp_path / "mine.csv", "wavelength_nm,Y\n400,0.5\n700\n")
+    path = write(tmp_path / "own.toml", f'base = "phone"\n{text}\n')
+    with pytest.raises(BadFile, match=words) as refused:
+        gs.open_camera(path)
+    assert str(refused.value).startswith(f"{path}: ") and "\n" not in str(refused.value)
+
+
+def test_a_key_of_the_base_is_said_to_be_there(tmp_path):
+    base = write(tmp_path / "base.toml", 'base = "phone"\n[noise]\nread_e = -1\n')
+    own = write(tmp_path / "own.toml", 'base = "base.toml"\n[optics]\nf_number = 2\n')
+    with pytest.raises(BadFile, match=r"\[noise\] read_e = -1: .* \(the key is its base's, ") as refused:
+        gs.open_camera(own)
+    assert str(refused.value).startswith(f"{own}: ") and str(base) in str(refused.value)
+    with pytest.raises(BadFile, match=r"base.toml: \[noise\] read_e = -1: noise.read = -1 e-: allowed is [^(]*$"):
+        gs.open_camera(base)
 
 
 # ------------------------------------------------------------------------------------------------ scenes of arrays
