@@ -122,10 +122,13 @@ def _opened(path):
 
 
 def _pages(path, tiff, size):
-    pages = []
+    pages, seen = [], set()
     for number, page in enumerate(tiff.pages):
         if number == MOST_PAGES:
             raise BadFile(path, f"more than {MOST_PAGES} pages")
+        if page.offset in seen:
+            raise BadFile(path, f"page {number} is one of those before it: the file's pages go in a circle")
+        seen.add(page.offset)
         if not int(page.subfiletype) & (SMALLER | MASK):
             pages.append(_page(path, page, size))
     if not pages:

@@ -193,6 +193,22 @@ def test_truncated(tmp_path, compression):
             open_scene(path)
 
 
+def test_pages_that_go_in_a_circle(tmp_path):
+    """The last of three pages says that the first comes next; each page's link stands behind its tags (TIFF 6, 2)."""
+    tifffile.imwrite(tmp_path / "a.tif", RANDOM.integers(0, 65536, (3, 7, 9), np.uint16), photometric="minisblack",
+                     metadata=None)
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    first = at = struct.unpack_from("<I", data, 4)[0]
+    while True:
+        link = at + 2 + 12 * struct.unpack_from("<H", data, at)[0]
+        if not (at := struct.unpack_from("<I", data, link)[0]):
+            break
+    struct.pack_into("<I", data, link, first)
+    (tmp_path / "a.tif").write_bytes(data)
+    with refused("a.tif", "page 3 is one of those before it", error=BadFile):
+        open_scene(tmp_path / "a.tif", wavelengths=[500, 550, 600])
+
+
 def test_a_file_that_says_it_is_huge_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.zeros((7, 9), np.uint16), photometric="minisblack", compression="zlib")
