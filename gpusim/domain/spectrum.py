@@ -67,13 +67,18 @@ class Spectrum:
         return Spectrum(self.wavelengths, self.values * factor, self.name)
 
 
+def energy_per_photon(wavelengths):
+    """Of light of these wavelengths [nm]: [J]."""
+    return PLANCK * LIGHT_SPEED / (wavelengths * 1e-9)
+
+
 def photons_from_energy(spectrum: Spectrum) -> Spectrum:
     """From energy [W ... nm-1] to photons [photon s-1 ... nm-1]: divides by h c / lambda."""
-    per_photon = PLANCK * LIGHT_SPEED / (spectrum.wavelengths * 1e-9)
+    per_photon = energy_per_photon(spectrum.wavelengths)
     return Spectrum(spectrum.wavelengths, spectrum.values / per_photon, spectrum.name)
 
 
 def energy_from_photons(spectrum: Spectrum) -> Spectrum:
     """From photons [photon s-1 ... nm-1] to energy [W ... nm-1]: multiplies by h c / lambda."""
-    per_photon = PLANCK * LIGHT_SPEED / (spectrum.wavelengths * 1e-9)
+    per_photon = energy_per_photon(spectrum.wavelengths)
     return Spectrum(spectrum.wavelengths, spectrum.values * per_photon, spectrum.name)

@@ -8,7 +8,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
+from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.photo import lift
 from gpusim.io.scenes import LIGHT, LUMINANCE, picture
 
@@ -45,8 +45,7 @@ def scene_from(array, wavelengths=None, *, light: str | None = None, luminance: 
     if light is not None:
         return Scene(Cube(wavelengths, values), white_radiance(illuminant(light), luminance), name=name, **options)
     if unit == "energy":
-        per_joule = wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED)
-        values = (to_host(values, name) * per_joule[:, None, None]).astype(np.float32)
+        values = (to_host(values, name) / energy_per_photon(wavelengths)[:, None, None]).astype(np.float32)
     return Scene(Cube(wavelengths, values), unit_light(wavelengths), name=name, **options)
 
 

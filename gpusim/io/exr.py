@@ -10,7 +10,7 @@ from gpusim.data.srgb import drawn_into_srgb, srgb_from_rgb, srgb_to_xyz
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile
 from gpusim.domain.memory import require_memory
-from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
+from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.atomic import atomic_path
 from gpusim.io.exr_channels import contents
 from gpusim.io.files import named, open_file, reading
@@ -74,7 +74,7 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     for plane, (name, nm) in zip(values, held.channels, strict=True):
         plane[:] = _pixels(path, channels, name, (rows, cols), finite=True, negative=nm is None)
         if held.kind == "radiance" and nm is not None:
-            plane *= held.unit * nm * 1e-9 / (PLANCK * LIGHT_SPEED)
+            plane *= held.unit / energy_per_photon(nm)
     notes = []
     if held.is_picture:
         with named(path):
@@ -138,7 +138,7 @@ def write_spectral_exr(path, wavelengths, values, *, reflectance=False, half=Fal
         raise BadData(f"{path}: values {values.shape} do not match {len(wavelengths)} wavelengths")
     channels = {}
     for nm, plane in zip(wavelengths, values, strict=True):
-        energy = 1.0 if reflectance else PLANCK * LIGHT_SPEED / (nm * 1e-9)
+        energy = 1.0 if reflectance else energy_per_photon(nm)
         name = ("T." if reflectance else "S0.") + f"{nm:.6f}nm".replace(".", ",")
         channels[name] = _narrowed(path, name, np.asarray(plane, np.float64) * energy, half)
     if len(channels) < len(values):

@@ -10,7 +10,7 @@ import numpy as np
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import LONGEST_PATH, BadFile, OutOfRange, UnknownName, one_line, shown
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.spectrum import LIGHT_SPEED, PLANCK
+from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.depth import axial
 from gpusim.io.envi import read_envi
 from gpusim.io.exr import read_exr
@@ -21,7 +21,7 @@ from gpusim.io.npz import read_npz
 from gpusim.io.photo import lift, read_photo
 from gpusim.io.scene_exr import scene_parts
 from gpusim.io.spectra import patches, read_spectra
-from gpusim.io.stacks import check_reflectances, checked_scale, light
+from gpusim.io.stacks import check_reflectances, checked_scale, cut_noise
 from gpusim.io.tiff import SUFFIXES as TIFF
 from gpusim.io.tiff import read_stack
 
@@ -133,7 +133,7 @@ def _csv(path, white, kind=None, scale=None, size=None):
     wavelengths, spectra = read_spectra(path)
     with np.errstate(over="ignore"):
         spectra = spectra / (scale or 1.0)
-    notes = light(path, spectra)
+    notes = cut_noise(path, spectra)
     if kind == "reflectance" and scale is None:
         check_reflectances(path, spectra)
     return of_spectra(path, white, wavelengths, spectra, kind, size, notes)
@@ -164,7 +164,7 @@ def of_planes(path, white, wavelengths, values, kind, notes=()) -> Scene:
     kind: reflectances [1] in the light of `white`, or radiance [W m-2 sr-1 nm-1]. Raises BadFile, naming the file.
     """
     if kind == "radiance":
-        values *= photons(wavelengths)[:, None, None].astype(np.float32)
+        values *= (1 / energy_per_photon(wavelengths))[:, None, None].astype(np.float32)
         white = unit_light(wavelengths)
     with named(path):
         return Scene(Cube(wavelengths, values), white, name=path.stem, notes=tuple(notes))
@@ -173,13 +173,8 @@ def of_planes(path, white, wavelengths, values, kind, notes=()) -> Scene:
 def of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) -> Scene:
     """A scene of patches that show spectra, (spectra, L). kind, errors: as of `of_planes`; size: as of `patches`."""
     if kind == "radiance":
-        spectra, white = spectra * photons(wavelengths), unit_light(wavelengths)
+        spectra, white = spectra / energy_per_photon(wavelengths), unit_light(wavelengths)
     return patches(path, wavelengths, np.asarray(spectra, np.float64), white, size, notes)
-
-
-def photons(wavelengths):
-    """How many there are in a joule at each wavelength [nm]."""
-    return wavelengths * 1e-9 / (PLANCK * LIGHT_SPEED)
 
 
 CHARTS_TAKE = ("size",)

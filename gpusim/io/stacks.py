@@ -55,10 +55,10 @@ def read_planes(path, view, *, scale: float, gains=None, offsets=None, ignored=N
     notes = []
     if without:
         notes.append(f"no data in {100 * without / (rows * cols):.2g} % of the samples: dark")
-    return values, notes + light(path, values)
+    return values, notes + cut_noise(path, values)
 
 
-def light(path, values) -> list[str]:
+def cut_noise(path, values) -> list[str]:
     """Make noise below 0 to 0 in place; notes of it. values: float32 (L, ...). Raises BadFile for what is no light."""
     low, high = float(values.min()), float(values.max())
     if not np.isfinite([low, high]).all():
