@@ -10,6 +10,7 @@ from gpusim.backends import Device
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.shown import Pictured
 from gpusim.io.frames import write_frame
 from gpusim.planner.camera_profile import color_profile
 from gpusim.planner.encoding import decoding
@@ -97,7 +98,7 @@ class _Made(Generic[T]):
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Frame(Pictured):
     """One simulated picture, whose parts are computed and copied to the host when they are first asked for.
 
     What they are made of stays on the device until all are: see `complete`.

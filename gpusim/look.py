@@ -4,11 +4,10 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from gpusim.domain.errors import BadData, BadFile
+from gpusim.domain.errors import BadFile
 from gpusim.options import add_asked, operated, scene_of, whole
 
 FORMATS = (".png", ".pdf", ".svg", ".jpg")
-WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # ways of matplotlib to draw
 CHARTS = {"sfr": "slanted-edge"}  # shown where no scene is named; else the ColorChecker
 SIZE = 480, 320  # columns and rows of these
 
@@ -35,16 +34,15 @@ def look(arguments) -> int:
     from gpusim import plot
     from gpusim.data.cameras import open_camera
     from gpusim.io.atomic import atomic_path, check_output
-    from gpusim.plot.canvas import matplotlib
+    from gpusim.plot.canvas import matplotlib, window
 
-    pyplot, out = matplotlib(), arguments.out
+    out = arguments.out
+    pyplot = window("look", "a file, such as -o look.png") if out is None else matplotlib()
     if out is not None and Path(out).suffix.lower() not in FORMATS:
         raise BadFile(out, f"a picture of a plot has the suffix {', '.join(FORMATS)}")
     check_output(out)
     if out is not None:
         pyplot.switch_backend("agg")
-    elif pyplot.get_backend().lower() in WITHOUT_WINDOW:
-        raise BadData("look: no window can be opened here; wanted a file, such as -o look.png")
     camera = operated(open_camera(arguments.camera), arguments)
     found = PANELS[arguments.what][0](_Asked(arguments, camera), plot)
     if out is None:

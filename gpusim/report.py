@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.domain.account import Account, Verdict
 from gpusim.domain.brief import shortened
+from gpusim.domain.shown import Tabled
 from gpusim.domain.tolerance import Tolerance
 
 
@@ -66,7 +67,7 @@ class StageReport:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Tabled):
     """Everything that is known about one frame besides its pixels.
 
     scene, camera, device: what was simulated where. stages: in the order the light goes. account: predicted errors of

@@ -8,6 +8,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
+from gpusim.domain.shown import Tabled
 
 
 def checked_camera(camera) -> "Camera":
@@ -18,7 +19,7 @@ def checked_camera(camera) -> "Camera":
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(Tabled):
     """Everything between a scene's radiance and a picture of it.
 
     Raises OutOfRange and UnknownName when the parts do not go together.

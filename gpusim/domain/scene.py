@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.domain.brief import brief, shortened
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.shown import Pictured
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.view import View
 
@@ -30,7 +31,7 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(Pictured):
     """Radiance of every scene point, L(x, lambda) = content(x, lambda) * illuminant(lambda).
 
     content: Cube, Basis, Materials, Picture or Illuminated, the scene as samples on a square grid. It is the

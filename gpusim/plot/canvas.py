@@ -9,6 +9,7 @@ from gpusim.domain.errors import BadData, Missing
 CHANNELS = {"R": (0.84, 0.15, 0.16), "G": (0.17, 0.63, 0.17), "B": (0.12, 0.35, 0.80), "Y": (0.35, 0.35, 0.35),
             "W": (0.45, 0.45, 0.45), "C": (0.09, 0.65, 0.75), "M": (0.80, 0.20, 0.65), "E": (0.05, 0.55, 0.45)}
 OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))  # of letters not in it
+WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # ways of matplotlib to draw
 LIGHTEST = 0.62  # of a line's codes on white
 BAR = 1.3  # inches of a colour bar
 QUIET = "0.55"  # grey of lines that are no data
@@ -20,6 +21,17 @@ def matplotlib():
         from matplotlib import pyplot
     except ImportError:
         raise Missing("plot: matplotlib is not installed; wanted: pip install 'gpusim[plot]'") from None
+    return pyplot
+
+
+def window(what: str, other: str):
+    """`matplotlib.pyplot` where it can open windows, or notebooks show its figures. Raises BadData, Missing.
+
+    what: that wants one, other: what to use where there is none; both for the message.
+    """
+    pyplot = matplotlib()
+    if pyplot.get_backend().lower() in WITHOUT_WINDOW:
+        raise BadData(f"{what}: no window can be opened here; wanted {other}")
     return pyplot
 
 

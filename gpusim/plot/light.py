@@ -37,11 +37,18 @@ def scene(scene: Scene, ax=None):
                  f"{scene.name}: radiance, {cols} x {rows} pixels, white {white:.3g} cd/m²")
 
 
-def radiance_codes(scene: Scene) -> tuple[np.ndarray, float]:
-    """Codes 0 .. 1 (rows, cols, 3) in sRGB of a scene's radiance, and the luminance that is white [cd m-2]."""
+def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
+    """Codes 0 .. 1 (rows, cols, 3) in sRGB of a scene's radiance, and the luminance that is white [cd m-2].
+
+    step: above 1 every so many samples are looked at, and no others.
+    """
     scene = viewed(checked_scene(scene))
     weights, white = _eye(scene)
-    xyz = pixel_sums(scene, weights)
+    if step > 1:
+        window = slice(scene.margin, -scene.margin or None, step)
+        xyz = sample_sums(scene, weights, (window, window))
+    else:
+        xyz = pixel_sums(scene, weights)
     if white is not None:
         luminance = float(weights[1].sum())
         return srgb(xyz / luminance, white), luminance

@@ -1,9 +1,15 @@
-"""`gpusim look`: every panel in a file, and what is refused."""
+"""`gpusim look`: every panel in a file, and what is refused; what windows and notebooks show of objects."""
+
+import io
+from dataclasses import replace
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+import gpusim as gs
 from gpusim.cli import main
+from gpusim.domain.errors import BadData
 from gpusim.look import PANELS
 
 pytest.importorskip("matplotlib", reason="plots are of matplotlib")
@@ -35,3 +41,79 @@ def test_look_refuses_in_one_line(arguments, words, tmp_path, monkeypatch, capsy
     assert main(["look", *arguments, "--device", "numpy"]) == 2
     told = capsys.readouterr().err
     assert words in told and told.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+# --------------------------------------------------------------------------------------------- windows and notebooks
+
+
+class Cells(HTMLParser):
+    """Texts of a table's cells, and whether every tag is closed in turn."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.texts = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return gs.Simulator(gs.open_camera("phone"), device="numpy")(gs.chart("colorchecker", size=(96, 64)))
+
+
+def read(png):
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def test_notebooks_show_pictures(frame):
+    """As IPython asks for them; small ones enlarged by whole numbers, large ones by few of their samples."""
+    formatters = pytest.importorskip("IPython.core.formatters", reason="IPython is not installed")
+    png = formatters.PNGFormatter()
+    np.testing.assert_array_equal(read(png(frame))[1::3, 1::3], frame.rgb)
+    scene = gs.chart("colorchecker", size=(300, 200), samples_per_pixel=2)
+    codes = gs.plot.scene(scene).images[0].get_array()
+    np.testing.assert_allclose(read(png(scene)), 255 * codes, atol=0.51)
+    large = read(png(gs.chart("colorchecker", size=(2100, 1400))))
+    assert max(large.shape) <= 1050 and np.abs(np.median(large[:9, :9], axis=(0, 1)) - 255 * codes[0, 0]).max() <= 1
+    unseen = gs.scene_from(np.ones((2, 8, 8)), [900.0, 950.0], light="blackbody-3000K")
+    assert png(unseen) is None
+
+
+def test_notebooks_show_tables(frame):
+    html = pytest.importorskip("IPython.core.formatters", reason="IPython is not installed").HTMLFormatter()
+    camera = Cells(html(replace(frame.camera, name="<b>mine")))
+    assert not camera.open and camera.texts[0] == "Camera <b>mine"
+    assert any(text.startswith("f/1.8, 4.44 mm") for text in camera.texts) and "automatic" in camera.texts
+    report = Cells(html(frame.report))
+    assert not report.open and {stage.stage for stage in frame.report.stages} < {*report.texts}
+    assert f"{frame.report.account.total.rms:.2g} rms" in report.texts
+
+
+def test_show_opens_a_window(frame, monkeypatch):
+    from matplotlib import pyplot
+
+    monkeypatch.setattr("gpusim.plot.canvas.WITHOUT_WINDOW", ())
+    opened = []
+    monkeypatch.setattr(pyplot, "show", lambda: opened.append(pyplot.gcf()))
+    scene = gs.chart("flat", size=(24, 16))
+    shown = [one.show() for one in (frame, scene, frame.report)]
+    assert opened == shown and [len(figure.axes) for figure in shown] == [1, 2, 2]
+    pyplot.close("all")
+
+
+def test_show_without_a_window_says_so(frame):
+    import matplotlib
+
+    matplotlib.use("agg")
+    with pytest.raises(BadData, match=r"Frame.show\(\): no window can be opened here; wanted gs.plot"):
+        frame.show()
