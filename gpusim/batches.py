@@ -5,6 +5,7 @@ Not differentiable: no gradient goes through a frame, whose noise is drawn and w
 
 import sys
 from collections import OrderedDict
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Batch:
     def __repr__(self):
         return shortened(f"Batch({self.output}, {self.simulator!r})")
 
-    def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None):
+    def __call__(self, pictures, *, first: int = 0, seed: int = 0, exposure_time=None, gain=1.0, camera=None) -> Any:
         """Frames of pictures (B, C, rows, cols), floats, not negative: (B, rows, cols) or (B, C, rows, cols).
 
         They are a new array, torch's or cupy's where the pictures are, on a Warp device in its memory; else NumPy's.

@@ -60,7 +60,7 @@ class Exposure:
         return shortened(f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
                          f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})")
 
-    def layered(self, raw):
+    def layered(self, raw) -> Any:
         """Raw values (..., rows, cols) with the layers of stacked pixels apart, (..., C, rows, cols)."""
         return raw.reshape(*raw.shape[:-2], *self.mean.shape[:-2], -1, raw.shape[-1])
 

@@ -77,7 +77,7 @@ class Readout:
                                  f"that all colours of the mosaic {'/'.join(sensor.cfa)} are near every pixel")
         return tuple(shape)
 
-    def chip_mean(self, mean, exposure_time: float, scale: float = 1.0):
+    def chip_mean(self, mean, exposure_time: float, scale: float = 1.0) -> Any:
         """Electrons that this chip is expected to collect, without the dark current all pixels have in common.
 
         mean: of the scene, array of the device, shape (rows, cols) or, of stacked pixels, (C, rows, cols) [e-].
@@ -103,7 +103,7 @@ class Readout:
         found = np.zeros(1, np.uint8) if flags is None else (self.device.numpy(flags) != 0).astype(np.uint8)
         return found if found.any() else None
 
-    def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0):
+    def flags(self, shape, exposure_time: float = 0.0, least: float = 0.0) -> Any:
         """The same map as an array of the device, not 0 at defects; None where the chip has no such pixels."""
         rows, cols = prod(shape[:-1]), shape[-1]
         noise_, dark = self.sensor.noise, self._dark(rows, cols)
@@ -114,14 +114,14 @@ class Readout:
         return flag(response, dark, least=least / dark_time if dark_time else 0.0, binning=self.sensor.binning,
                     stride=self.stride, device=self.device)
 
-    def mean(self, mean):
+    def mean(self, mean) -> np.ndarray:
         """Mean electrons of the output's pixels, NumPy float32: binned, added or averaged as the mode says."""
         if self.sensor.binning != (1, 1):
             mean = self._binned(mean)
         mean = np.array(self.device.numpy(mean), np.float32)
         return mean / np.float32(prod(self.sensor.binning)) if self._digital else mean
 
-    def draw(self, chip_mean, exposure_time: float, gain: float = 1.0, seed=0, frame=0, frames=None):
+    def draw(self, chip_mean, exposure_time: float, gain: float = 1.0, seed=0, frame=0, frames=None) -> Any:
         """Raw values (rows, cols), or (frames, rows, cols), around `chip_mean` electrons (see the method).
 
         gain: analog, beside the sensor's [1]. Returns an array of the device: uint16, or float32 without a converter.
@@ -145,7 +145,7 @@ class Readout:
         """Whether the stage `sensor.noise` is all that `draw` takes for one frame."""
         return not self._digital and self.device.kind != "numpy"
 
-    def draw_again(self, tape, shape, *, seed=0, frame=0):
+    def draw_again(self, tape, shape, *, seed=0, frame=0) -> Any:
         """Raw values (rows, cols) of another frame, by what `draw` noted on a tape for one: see `draws_at_once`."""
         kind = np.float32 if self.sensor.bits == FLOAT_BITS else np.uint16
         raw = self.device.empty((1, *shape), kind)
@@ -174,7 +174,7 @@ class Readout:
         return {"dark_electrons": self.dark_electrons(exposure_time), "read_noise": sensor.read_sigma,
                 "gain": sensor.gain_dn_per_electron, "black_level": sensor.dark_level}
 
-    def average(self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0):
+    def average(self, chip_mean, exposure_time: float, count: int, *, gain: float = 1.0, seed=0, first=0) -> Any:
         """Mean raw values of `count` frames, float64: whole numbers are added as such, so that nothing is lost."""
         count = checked_count("count of averaged frames", count)
         total, kind = 0, np.float64 if self.sensor.bits == FLOAT_BITS else np.uint64
@@ -185,7 +185,7 @@ class Readout:
             total = total + self.device.numpy(raw).sum(axis=0, dtype=kind)
         return total / count
 
-    def nondestructive(self, mean, exposure_time: float, times, *, gain: float = 1.0, seed=0, frame=0):
+    def nondestructive(self, mean, exposure_time: float, times, *, gain: float = 1.0, seed=0, frame=0) -> np.ndarray:
         """Raw values of reads that leave the charge in the pixels, NumPy (reads, rows, cols).
 
         mean: electrons of `exposure_time` [s], see `chip_mean`. times: of the reads since the reset [s], rising. The

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import replace
 from operator import is_
-from typing import overload
+from typing import Any, overload
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, noted
@@ -159,7 +159,7 @@ class Simulator:
         """
         return replace(self.program(scene, exposure_time, gain).exposure, is_rewritten=False)
 
-    def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None):
+    def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None) -> Any:
         """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.
 
         frames: how many from `frame` on, shape (frames, rows, cols); by default one alone, (rows, cols), the layers of
@@ -175,13 +175,13 @@ class Simulator:
             drawing.of = of
         return raw
 
-    def develop(self, raw, exposure: Exposure):
+    def develop(self, raw, exposure: Exposure) -> tuple[Any, Any]:
         """Linear display RGB (3, rows, cols), before the tone curve, and display codes (rows, cols, 3), on the device.
 
         Raw values of a sensor without a converter are shown from 16 bits of them.
         """
         return Shots(self, exposure).developed(raw)[:2]
 
-    def codes(self, raw, exposure: Exposure):
+    def codes(self, raw, exposure: Exposure) -> Any:
         """The display codes of `develop` alone, for previews and videos: in one pass where the camera allows it."""
         return Shots(self, exposure).codes(raw)

@@ -263,7 +263,7 @@ def _developed(simulator, frame, electrons, *, exposure_time, full, saturated, r
 
 def _shown(device, developer, shown):
     """A frame's `linear` and `rgb` of linear display RGB on the device."""
-    planes, codes = (np.array(device.numpy(array)) for array in (shown, developer.encoded(shown)))
+    planes, codes = np.array(device.numpy(shown), np.float32), np.array(device.numpy(developer.encoded(shown)))
     return np.moveaxis(planes, 0, -1), codes
 
 

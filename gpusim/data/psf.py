@@ -33,7 +33,7 @@ def read_psf(path) -> PointSpread:
                            heights, tuple(archive[key] for key in axes) or None)
 
 
-def write_psf(path, spread: PointSpread):
+def write_psf(path, spread: PointSpread) -> None:
     """Write point spreads; `read_psf` gives the same back. Raises BadFile."""
     arrays: dict = {"wavelengths_nm": spread.wavelengths, "psf": spread.values, "spacing_um": spread.spacing * 1e6,
               "integrated": spread.integrated}

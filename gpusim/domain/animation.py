@@ -55,7 +55,7 @@ class Actor:
         return np.stack([c * down + s * right + ratio * (self.place[0] + view.shift[0]),
                          c * right - s * down + ratio * (self.place[1] + view.shift[1])])
 
-    def onto(self, planes: np.ndarray, time: float, ratio: float):
+    def onto(self, planes: np.ndarray, time: float, ratio: float) -> None:
         """Put it onto planes (P, rows, cols), at a time [s].
 
         It is interpolated by cubic splines of what it covers, light times alpha; beyond its own samples is nothing.

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from math import floor, prod
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
 CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
 
 
-def exposure_value(f_number, exposure_time):
+def exposure_value(f_number, exposure_time) -> Any:
     """Exposure value [stop], EV = log2(N^2 / T), of f-number N [1] and exposure time T [s].
 
     Arrays broadcast. Source: Farrell and Wandell, Image Systems Simulation, section 5.7.

@@ -187,7 +187,8 @@ class Optics:
         words += ["low-pass"] if any(self.birefringence) or self.diffuser else []
         return ", ".join(words)
 
-    def waves(self, wavelengths, height: float = 0.0, azimuth: float = 0.0, distance: float | None = None):
+    def waves(self, wavelengths, height: float = 0.0, azimuth: float = 0.0,
+              distance: float | None = None) -> np.ndarray:
         """Wavefront coefficients [l, i, j] of x^i y^j [waves of each wavelength], shape (L, n, n), n >= 5.
 
         wavelengths: [nm]. height, azimuth: the field point, see `Wavefront.polynomial`. distance: of the object [m];
@@ -219,7 +220,7 @@ class Optics:
         """
         return diopters * self.image_distance**2
 
-    def airy_radius(self, wavelength):
+    def airy_radius(self, wavelength) -> np.ndarray:
         """Radius of the first dark ring [m] at `wavelength` [nm]: 1.21967 lambda N (1 + |m|).
 
         Source: Born and Wolf, Principles of Optics, 8.5.2; N (1 + |m|) is N for a scene at infinity.

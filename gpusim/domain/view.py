@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import cos, isfinite, pi, sin
+from typing import Any
 
 from gpusim.domain.errors import BadData, OutOfRange
 
@@ -46,7 +47,7 @@ class View:
         """Whether it shows samples where they are: displaced by whole ones. ratio: samples per pixel."""
         return not self.rotation and self.zoom == 1 and all((ratio * move).is_integer() for move in self.shift)
 
-    def place(self, y, x, ratio: float = 1.0):
+    def place(self, y, x, ratio: float = 1.0) -> tuple[Any, Any]:
         """Rows and columns of the scene that places of the frame show, both from the middle [sample].
 
         ratio: samples per pixel.

@@ -69,7 +69,7 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})
 
 
-def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False):
+def save_scene(scene: Scene, path, *, radiance: bool = False, half: bool = False) -> None:
     """Write a scene to a file that `open_scene` reads.
 
     .npz: all of it, as it is. .exr: spectral OpenEXR that other programs read, one channel for each wavelength, and the

@@ -1,6 +1,7 @@
 """Spatial frequency response of a camera from its picture of a slanted edge (ISO 12233, e-SFR)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def sfr(image, pitch: float | None = None, *, limits=None, order: int = 1) -> Ed
     return EdgeResponse(FREQUENCIES.copy(), response, angle, per_mm, error)
 
 
-def mtf50(measured: EdgeResponse, level: float = 0.5):
+def mtf50(measured: EdgeResponse, level: float = 0.5) -> Any:
     """Frequency at which the response first falls to `level`: [cycle/mm] if the pitch was given, else [cycle/pixel].
 
     Linear between frequencies. Returns a float or, of several channels, shape (C,). Raises OutOfRange, and BadData

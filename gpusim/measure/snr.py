@@ -1,6 +1,7 @@
 """Signal to noise of an evenly lit patch, as numbers and as the eye sees it, and of a sensor at every exposure."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
     return height * width * photons / xyz(light)[1]
 
 
-def snr(patch, second=None):
+def snr(patch, second=None) -> Any:
     """Signal to noise ratio [dB], 20 log10(mean / standard deviation); infinite without noise.
 
     patch: values of even light, proportional to it (black level taken off), shape (rows, cols) or (rows, cols, C) for

@@ -1,5 +1,7 @@
 """A camera at a glance: what it sees, how sharp, and with what noise."""
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
@@ -9,7 +11,7 @@ from gpusim.plot.lens import mtf, psf
 from gpusim.plot.sensor import snr
 
 
-def efficiency(camera: Camera, ax=None):
+def efficiency(camera: Camera, ax=None) -> Any:
     """Quantum efficiency of every channel, electrons per photon in the pixel's aperture, and the lens's transmission.
 
     Returns the axes. Raises BadData, Missing.
@@ -27,7 +29,7 @@ def efficiency(camera: Camera, ax=None):
     return finish(ax, f"{camera.name}: quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]")
 
 
-def camera(camera: Camera, figure=None):
+def camera(camera: Camera, figure=None) -> Any:
     """A camera at a glance: quantum efficiency, point spread, MTF and SNR. Returns the figure of matplotlib.
 
     Raises BadData, Missing.

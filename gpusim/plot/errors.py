@@ -1,5 +1,7 @@
 """How far frames are from the truth, and what a plan or a frame costs and errs, cause by cause."""
 
+from typing import Any
+
 import numpy as np
 
 from gpusim.domain.errors import BadData
@@ -16,7 +18,7 @@ UNITS = {"rms": "relative rms error of the mean electrons", "p999_sigma": "error
          "max_sigma": "error / noise sigma, largest"}
 
 
-def error(simulator: Simulator, scene, ax=None):
+def error(simulator: Simulator, scene, ax=None) -> Any:
     """Map of a simulator's error: mean electrons less the float64 reference's, over each pixel's own noise.
 
     Of stacked pixels, that of the layer with the largest error. Returns the axes. Raises BadData (frames whose blur
@@ -43,7 +45,7 @@ def error(simulator: Simulator, scene, ax=None):
                      cmap="RdBu_r", vmin=-most, vmax=most)
 
 
-def plan(what, figure=None):
+def plan(what, figure=None) -> Any:
     """Bars of a plan or of a frame: time of every stage, and error of every cause with all together.
 
     what: a Forecast, what `gpusim plan` prints (`gpusim.forecast.Forecast.of(simulator, scene)`), or a frame's Report.

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ DECADES = 4  # of a point spread's picture
 
 
 def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0.0, 0.0), light="D65",
-        pixel: bool = False):
+        pixel: bool = False) -> Any:
     """Modulation transfer of a camera's lens against the frequency on the sensor.
 
     of: wavelengths [nm] and letters of channels, one or several; None: 450, 550, 650 nm and every channel. A channel
@@ -59,7 +60,7 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
                   "frequency on the sensor [cycle/mm]", "modulation transfer")
 
 
-def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figure=None):
+def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figure=None) -> Any:
     """Point spread of a camera's lens as a picture in decades below its peak, the pixel's aperture drawn in it.
 
     of, place, light: see `mtf`. One wavelength or channel is drawn on `ax`; several, each beside the other, on `figure`

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import cycle
 from math import ceil
 from operator import index
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ BRIGHT = 99.5  # percentile of the luminance that is shown as white where no whi
 QUANTITIES = {"radiance": "[W m⁻² sr⁻¹ nm⁻¹]", "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]", "reflectance": "[1]"}
 
 
-def scene(scene: Scene, ax=None):
+def scene(scene: Scene, ax=None) -> Any:
     """A scene's radiance as sRGB: a white diffuser in its light is white.
 
     Where the light is not known the brightest 0.5 % of the pixels are white. Returns the axes. Raises BadData, Missing.
@@ -56,7 +57,7 @@ def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
     return srgb(xyz / bright), bright
 
 
-def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance"):
+def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> Any:
     """Mean spectra of a scene's patches against the wavelength, each in its own colour.
 
     at: a pixel (column, row) or a region (left, top, right, bottom) of the frame, right and bottom not in it; a list of
@@ -107,7 +108,7 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
     return wavelengths, values, color
 
 
-def inspect(scene: Scene, *, quantity: str = "radiance"):
+def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
     """A scene beside the spectra of pixels that are clicked in it; a right click takes all away.
 
     Returns the figure of matplotlib, which draws anew while its window, or a notebook's `%matplotlib widget`, is open.
@@ -141,7 +142,7 @@ def inspect(scene: Scene, *, quantity: str = "radiance"):
 draw_scene = scene  # under a name that an argument does not hide
 
 
-def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto"):
+def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto") -> Any:
     """The irradiance that a camera's lens makes of a scene, as sRGB: the image of a white diffuser is white.
 
     A sensor that sees as the CIE 1931 observer takes the place of the camera's own, on the same pixels, so that blur

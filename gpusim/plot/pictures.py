@@ -1,6 +1,7 @@
 """What a camera's pictures are worth: the pictures, their response to an edge, and their colours."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ HIGH = 99.5  # percentile of a map of errors that has its brightest colour
 FINE = 2  # samples of it along a pixel, so that the chart's own blur is small
 
 
-def sfr(what, ax=None, *, seed: int = 0, device="auto"):
+def sfr(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     """Spatial frequency response by a slanted edge (ISO 12233), MTF50 of each channel marked.
 
     what: a Camera, which is shown the chart "slanted-edge", exposed automatically, and of 16 frames of it the mean is
@@ -43,7 +44,7 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto"):
     return finish(ax, f"{name}: SFR of a slanted edge", f"frequency along the edge's normal [{unit}]", "response")
 
 
-def picture(frame, ax=None):
+def picture(frame, ax=None) -> Any:
     """A frame's picture, its display codes. Returns the axes. Raises BadData, Missing."""
     _require_frame(frame, "picture")
     codes = frame.rgb
@@ -52,7 +53,7 @@ def picture(frame, ax=None):
                  f"{frame.camera.name}: {cols} x {rows} pixels, exposed {1e3 * frame.exposure_time:.4g} ms")
 
 
-def delta_e(frame, reference, ax=None):
+def delta_e(frame, reference, ax=None) -> Any:
     """CIEDE2000 of every pixel of a frame against a reference, most often the Scene it is of: see `measure.ciede2000`.
 
     Returns the axes. Raises BadData, Missing.
@@ -65,7 +66,7 @@ def delta_e(frame, reference, ax=None):
                      vmax=max(float(np.percentile(found, HIGH)), 1e-6))
 
 
-def color_checker(frame, scene, ax=None):
+def color_checker(frame, scene, ax=None) -> Any:
     """CIEDE2000 of the 24 patches of the chart "colorchecker", a bar of the patch's own colour each.
 
     frame: of `scene`, the chart. Means of the patches are compared: noise is no part of it, but for its bias. Returns
@@ -89,7 +90,7 @@ def color_checker(frame, scene, ax=None):
     return ax
 
 
-def colors(frame, scene, figure=None):
+def colors(frame, scene, figure=None) -> Any:
     """A frame's colour errors: `delta_e` against its scene and, of a ColorChecker, `color_checker` beside it.
 
     Returns the figure of matplotlib. Raises BadData, Missing.

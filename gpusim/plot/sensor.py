@@ -1,6 +1,7 @@
 """What a sensor makes of light: its raw mosaic, its noise, and its signal over its noise."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ FLAT = (96, 96)  # pixels of the frames of which a photon transfer curve is meas
 LOWEST = -10.0  # SNR that is drawn [dB]
 
 
-def raw(frame, ax=None, *, gamma: float = RAW_GAMMA):
+def raw(frame, ax=None, *, gamma: float = RAW_GAMMA) -> Any:
     """A frame's raw mosaic, each pixel in its filter's colour: black at the black level, full at the white level.
 
     gamma: (signal / white)^(1 / gamma) is shown. Returns the axes. Raises BadData, Missing.
@@ -44,7 +45,7 @@ def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
     return colored(sensor, np.uint8(255 * values ** (1 / gamma) + 0.5))
 
 
-def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False):
+def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False) -> Any:
     """Signal to noise ratio of each channel against the exposure of the sensor, up to saturation.
 
     camera: a Camera or a Sensor. light, seconds, temporal: see `gpusim.measure.snr_curve`. The grey line has the
@@ -77,7 +78,7 @@ def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = 
                   "signal to noise ratio [dB]")
 
 
-def noise(frame, ax=None):
+def noise(frame, ax=None) -> Any:
     """Histogram of a frame's noise: raw values less those expected without noise, over the sigma that is expected.
 
     Of all that makes a raw value other than its mean, fixed patterns included, each channel by itself; pixels near
@@ -127,7 +128,7 @@ def noise_of(frame) -> dict[str, np.ndarray]:
     return {letter: found[inside & (tiled == number)] for number, letter in enumerate(sensor.channels)}
 
 
-def photon_transfer(what, ax=None, *, seed: int = 0, device="auto"):
+def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     """Photon transfer curve: temporal noise against signal, both in digital numbers, with what is read from it.
 
     what: a PhotonTransfer of `gs.photon_transfer`; or a Camera or a Sensor, which is then measured by simulated frames

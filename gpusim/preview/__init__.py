@@ -5,6 +5,7 @@ The package is itself the function: whoever imports one of its modules has the p
 
 import sys
 from types import ModuleType
+from typing import cast
 
 
 class _Function(ModuleType):
@@ -30,5 +31,5 @@ class _Function(ModuleType):
         return opened(scene, camera, device, tolerance)
 
 
-preview = sys.modules[__name__]
-preview.__class__ = _Function
+sys.modules[__name__].__class__ = _Function
+preview = cast(_Function, sys.modules[__name__])

@@ -1,6 +1,7 @@
 """Several frames at once in one array: of several scenes, or of one by several settings."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,8 @@ class Batch:
     def __repr__(self):
         return shortened(f"Batch({self.count} of {self.output}, {self._simulator!r})")
 
-    def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0, frame=0):
+    def __call__(self, scenes: Scene | Iterable[Scene], *, camera=None, exposure_time=None, gain=1.0, seed=0,
+                 frame=0) -> Any:
         """Frames of the scenes, shape (count, ...), type as of one frame; written anew by the next call.
 
         scenes: one for all, or one for each item. camera: the simulator's if None. exposure_time, gain: as for
@@ -84,7 +86,7 @@ class Batch:
         of = [program.kept.one(array) for program, array in zip(programs, frames, strict=True)]
         return self._kept("frames", of, lambda: self._simulator.device.stack(frames))
 
-    def judge(self):
+    def judge(self) -> None:
         """Wait for what the device saw of the scenes: see `Program.judge`. Every call does it for the one before."""
         for program in self._items:
             if program is not None:

@@ -230,7 +230,7 @@ class Program:
                 made.exposure = self._exposed_by(made)
                 return made
 
-    def stored(self, plan):
+    def stored(self, plan) -> tuple[Any, list]:
         """The scene's samples on the device as a plan takes them, and these as parts of keys."""
         imaging, content = self.simulator.imaging, self._content(plan)
         window = imaging.window(plan)
@@ -245,7 +245,7 @@ class Program:
             plan.table, stored))
         return stored, samples, self.placed(plan, planes)
 
-    def placed(self, plan, planes, name: str = "placed"):
+    def placed(self, plan, planes, name: str = "placed") -> Any:
         """Planes where the lens and the scene's view put them. name: of what is kept."""
         if not plan.is_placed:
             return planes
@@ -336,7 +336,7 @@ class Program:
                 entries, table, first, ids, device=device)))
         self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
 
-    def judge(self):
+    def judge(self) -> None:
         """Wait for what the device saw of the last scene; drop the plan where it does not fit.
 
         Every frame does it for the one before. Raises BadData for light that is not finite.
@@ -370,7 +370,7 @@ class Program:
         """Frames of the exposure."""
         return Shots(self.simulator, self._exposed(), self.kept)
 
-    def output(self, name: str, *, seed: int = 0, frame: int = 0):
+    def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
         """One of OUTPUTS by its name, on the device; nothing beyond it and the exposure is computed.
 
         seed, frame: of the noise, from "raw" on. Raises UnknownName, and BadData for the irradiance of a blur that
@@ -380,11 +380,11 @@ class Program:
             raise UnknownName("output", str(name), OUTPUTS)
         return output_of(self, name, seed, frame)
 
-    def raw(self, *, seed: int = 0, frame: int = 0):
+    def raw(self, *, seed: int = 0, frame: int = 0) -> Any:
         """Digital numbers (rows, cols) of one frame, on the device."""
         return self.shots.raw(seed, frame)
 
-    def codes(self, *, seed: int = 0, frame: int = 0):
+    def codes(self, *, seed: int = 0, frame: int = 0) -> Any:
         """Display codes (rows, cols, 3) of one frame, on the device."""
         shots = self.shots
         return shots.codes(shots.raw(seed, frame))

@@ -128,7 +128,7 @@ class Shots:
         wanted = Frame(exposure.camera, exposure.exposure_time, Later(lambda: shot.developed[2]),
                        Later(lambda: shot.timed(self.mean_of_pixels)),
                        Later(lambda: exposure.layered(shot.copied(shot.raw))),
-                       Later(lambda: np.moveaxis(shot.copied(shot.developed[0]), 0, -1)),
+                       Later(lambda: np.moveaxis(shot.copied(shot.developed[0], np.float32), 0, -1)),
                        Later(lambda: shot.copied(shot.developed[1])), Later(report), exposure.blur, shading,
                        self.simulator.readout.averaged)
         return wanted.complete() if exposure.is_rewritten else wanted
@@ -208,9 +208,9 @@ class _Shot:
         raw = self.raw
         return self.timed(lambda: self._shots.developed(raw))
 
-    def copied(self, array):
-        """Its values, NumPy."""
-        return self.timed(lambda: np.array(self._shots.simulator.device.numpy(array)))
+    def copied(self, array, kind=None):
+        """Its values, NumPy; kind: their type, None: as they are."""
+        return self.timed(lambda: np.array(self._shots.simulator.device.numpy(array), kind))
 
     def timed(self, make):
         start = time.perf_counter()

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import inspect
 import re
 import subprocess
 import sys
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 
 import gpusim as gs
+from gpusim import measure
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.pupil import Pupil
+from gpusim.frame import Exposure
+from gpusim.report import Report
 
 ROOT = Path(gs.__file__).resolve().parents[1]
 PHONE = gs.open_camera("phone")
@@ -259,41 +263,64 @@ def test_type_checkers_see_every_public_name():
 
 
 SCRIPT = '''
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gpusim as gs
+from gpusim.measure import cpsnr, mtf50, sfr, snr
 
 
 def camera_of(folder: Path) -> gs.Camera:
-    camera = gs.open_camera("phone").with_(f_number=2.0, read_e=3)
-    print(camera.name, camera.optics.f_number, camera.sensor.noise.read, camera.sensor.channels)
-    return camera if folder.exists() else gs.open_camera(folder / "camera.toml")
+    file = folder / "own.toml"
+    file.write_text('base = "phone"\\n[sensor]\\nexposure_time_ms = 10\\n')
+    camera = gs.open_camera(file).with_(f_number=2.0, read_e=3)
+    print(camera, camera.optics.f_number, camera.sensor.noise.read, camera.sensor.channels)
+    return camera
 
 
-def scenes(count: int) -> list[gs.Scene]:
+def scenes(count: int) -> Iterator[gs.Scene]:
     random = np.random.default_rng(1)
-    cube = gs.scene_from(random.random((31, 48, 64)), np.linspace(400, 700, 31), light="D65")
-    picture = gs.scene_from(random.integers(0, 256, (48, 64, 3), np.uint8))
-    lit = gs.illuminated(gs.chart("flat", size=(64, 48)), {"A": 30.0, "D65": 70.0})
-    return [cube, picture, lit, *(gs.open_scene("colorchecker", size=(64, 48)) for _ in range(count))]
+    yield gs.scene_from(random.random((31, 48, 64)), np.linspace(400, 700, 31), light="D65")
+    yield gs.scene_from(random.integers(0, 256, (48, 64, 3), np.uint8))
+    yield gs.illuminated(gs.chart("flat", size=(64, 48)), {"A": 30.0, "D65": 70.0})
+    yield from (gs.open_scene("colorchecker", size=(64, 48)) for _ in range(count))
 
 
-def brightest(frame: gs.Frame) -> float:
+def sharpness(camera: gs.Camera) -> float:
+    frame = gs.Simulator(camera, device="numpy")(gs.chart("slanted-edge", size=(96, 64)))
+    return float(mtf50(sfr(frame.linear, pitch=camera.sensor.pixel_pitch)).mean())
+
+
+def picture_of(frame: gs.Frame) -> NDArray[np.uint8]:
     report = frame.report
-    print(report, report.meets_tolerance)
-    return float(frame.raw.max())
+    print(frame, report, report.meets_tolerance, frame.linear.shape, frame.raw.max())
+    return np.asarray(frame)
+
+
+def night(simulate: gs.Simulator, scene: gs.Scene) -> gs.Frame:
+    views = [scene.viewed(gs.Motion(shake=2.0).at(number / 30)) for number in range(2)]
+    frames: list[gs.Frame] = gs.burst(simulate, views, seed=1)
+    print("noise", snr(frames[0].linear[8:16, 8:16]))
+    return gs.merge_burst(simulate, frames)
 
 
 def run(folder: Path) -> None:
-    simulate = gs.Simulator(camera_of(folder), device="numpy", tolerance="preview")
-    values: list[float] = []
-    for seed, scene in enumerate(scenes(1)):
-        frame = simulate(scene, seed=seed)
-        values.append(brightest(frame))
-        frame.save(folder / f"frame{seed}.png")
-    print(np.mean(values), frame.rgb.shape, frame.mean.dtype)
+    camera = camera_of(folder)
+    simulate = gs.Simulator(camera, device="numpy", tolerance="preview")
+    for number, frame in enumerate(simulate(scenes(1), seed=1)):
+        frame.save(folder / f"frame{number}.png", bits=16)
+        print(picture_of(frame).mean(axis=(0, 1)), frame.exposure_time)
+    checker = gs.chart("colorchecker", size=(64, 48))
+    exposure = simulate.expose(checker)
+    print(exposure, np.asarray(exposure).mean(), sharpness(camera))
+    frames = gs.bracket(simulate, checker, (0, 2))
+    hdr = gs.merge_bracket(simulate, frames)
+    print("of a bracket", cpsnr(frames[0].linear, hdr.linear))
+    hdr.save(folder / "hdr.exr")
+    print(night(simulate, checker).exposure_time, gs.Batch(camera, device="numpy")(np.ones((1, 3, 16, 16))).shape)
     try:
         gs.open_scene("colorchekcer")
     except gs.GpusimError as error:
@@ -303,20 +330,50 @@ def run(folder: Path) -> None:
 if __name__ == "__main__":
     run(Path("."))
 '''
+SHOWN = '''import gpusim as gs
+simulate = gs.Simulator(gs.open_camera('phone'))
+reveal_type(gs.open_camera)
+reveal_type(simulate(gs.chart("flat")))
+reveal_type(simulate([gs.chart("flat")]))
+reveal_type(gs.burst(simulate, gs.chart("flat"), 2))
+simulate.camera.nothing
+'''
 
 
 def test_a_users_script_passes_a_strict_type_checker(tmp_path):
     """And `reveal_type` says that the names are no Any; what is inside the package is not judged here."""
     pytest.importorskip("mypy", reason="mypy is not installed")
-    script = write(tmp_path / "user.py", SCRIPT)
-    shown = "import gpusim as gs\nreveal_type(gs.Simulator)\nreveal_type(gs.open_camera)\n"
-    revealed = write(tmp_path / "shown.py", f"{shown}gs.open_camera('phone').with_(f_number=2).nothing\n")
-    checked = [subprocess.run([sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir",
-                               str(tmp_path / "cache"), str(path)], capture_output=True, text=True, cwd=tmp_path,
-                              env={"MYPYPATH": str(ROOT), "PATH": ""}, check=False) for path in (script, revealed)]
-    assert "Success" in checked[0].stdout, checked[0].stdout
-    assert 'def (camera: ' in checked[1].stdout and "-> gpusim.domain.camera.Camera" in checked[1].stdout
-    assert '"Camera" has no attribute "nothing"' in checked[1].stdout
+    assert len(SCRIPT.strip().splitlines()) >= 60
+    write(tmp_path / "user.py", SCRIPT)
+    write(tmp_path / "shown.py", SHOWN)
+    checked = subprocess.run([sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir",
+                              str(tmp_path / "cache"), "user.py", "shown.py"], capture_output=True, text=True,
+                             cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""}, check=False).stdout
+    assert "user.py" not in checked and "Found 1 error in 1 file" in checked, checked
+    for type_ in ("def (name_or_path: Any) -> gpusim.domain.camera.Camera", '"gpusim.frame.Frame"',
+                  'Iterator[gpusim.frame.Frame]"', 'list[gpusim.frame.Frame]"',
+                  '"Camera" has no attribute "nothing"'):
+        assert type_ in checked, (type_, checked)
+
+
+@pytest.mark.slow  # ten frames by the reference
+def test_the_same_script_runs(tmp_path, capsys):
+    names = {"__name__": "user"}
+    exec(compile(SCRIPT, "user.py", "exec"), names)
+    names["run"](tmp_path)
+    assert "did you mean 'colorchecker'" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {"own.toml", "hdr.exr", *(f"frame{n}.png" for n in range(4))}
+
+
+def test_what_public_functions_give_has_a_type():
+    """Those without any are an error of a strict checker wherever they are called."""
+    named = [(name, getattr(owner, name)) for owner in (gs, measure, gs.plot) for name in owner.__all__]
+    named += [(f"{kind.__name__}.{name}", method) for kind in (
+        gs.Simulator, gs.Program, gs.Batch, gs.Readout, gs.Frame, gs.Camera, gs.Scene, gs.Spectrum, gs.Optics, gs.View,
+        gs.Motion, gs.Actor, gs.Animation, gs.Calibration, gs.EventSensor, Exposure, Report)
+        for name, method in vars(kind).items() if not name.startswith("_") and inspect.isfunction(method)]
+    assert [name for name, made in named if inspect.isfunction(made)
+            and inspect.signature(made).return_annotation is inspect.Signature.empty] == []
 
 
 def test_editors_complete_every_public_name():
