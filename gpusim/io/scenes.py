@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,9 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
         white = white_radiance(illuminant(light or LIGHT), LUMINANCE if luminance is None else luminance)
         scene = relit(path, read_scene(path, white, given), light, luminance)
     else:
+        for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
+            if os.path.isfile(header):
+                raise BadFile(path, f"the samples of an ENVI file; open its header, {Path(header).name}")
         raise UnknownName("scene", str(name_or_path), [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)])
     changes = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     return dataclasses.replace(scene, **{key: value for key, value in changes.items() if value is not None})

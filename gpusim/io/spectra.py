@@ -28,7 +28,7 @@ WANTED = ("wanted a table of numbers, wavelengths [nm] in the first column and a
 def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     """Read a table of spectra: wavelengths [nm], float64 (L,), ascending, and the spectra, float64 (spectra, L).
 
-    The first column, or the first line, has the wavelengths; the other one may have names, which are left out.
+    The first column, or the first line, has the wavelengths; headings and names before them are left out.
     Wavelengths are in nm, or in um where their heading says so. Cells are divided by commas, semicolons (numbers may
     have decimal commas then) or tabs; lines that begin with # are comments. Raises BadFile, DoesNotFit.
     """
@@ -47,10 +47,8 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     if any(len(row) < width for row in cells):
         raise BadFile(path, f"lines of {min(map(len, cells))} to {width} cells; {WANTED}")
     numbers = np.array([[_number(cell) for cell in row[:width]] for row in cells])
-    scale = 1e3 if MICROMETRES.search(cells[0][0]) else 1.0
-    heading = int(np.isnan(numbers[0, 0]))  # of both axes, or of none: the cell where they meet
-    found = [(scale * table[heading:, 0], table[heading:, 1:].T)
-             for table in (numbers, numbers.T) if _are_wavelengths(scale * table[heading:, 0])]
+    tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0][:width], numbers.T))
+    found = [table for table in tables if table]
     if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
         raise BadFile(path, ("both the first column and the first line could be wavelengths; " if found else "")
                       + WANTED)
@@ -69,11 +67,19 @@ def _number(cell):
         return math.nan
 
 
-def _are_wavelengths(nm):
-    """Whether numbers can be wavelengths: in order, and where light is."""
+def _spectra(words, numbers):
+    """Wavelengths [nm] and spectra below them; None where the first column, `words`, can be no wavelengths.
+
+    They can where they are in order and where light is, under any number of headings; numbers may follow the first
+    one alone, or else a wavelength that cannot be read would pass for a heading.
+    """
+    headings = int(np.argmax(np.append(np.isfinite(numbers[:, 0]), True)))
+    if np.isfinite(numbers[1:headings, 1:]).any():
+        return None
+    nm = numbers[headings:, 0] * (1e3 if MICROMETRES.search(" ".join(words[:headings])) else 1.0)
     steps = np.diff(nm)
-    return len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all()) and (
-        SHORTEST <= nm.min() <= nm.max() <= LONGEST)
+    ordered = len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all())
+    return (nm, numbers[headings:, 1:].T) if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST else None
 
 
 def patches(path, wavelengths, spectra, light, size=None, notes=()) -> Scene:

@@ -121,6 +121,15 @@ def test_data_that_are_no_file(tmp_path):
         gs.open_scene(path)
 
 
+def test_the_header_of_data_is_said(tmp_path):
+    write(tmp_path / "a.hdr", CUBE)
+    (tmp_path / "b").write_bytes(b"")
+    (tmp_path / "b.hdr").write_bytes(b"")
+    for name in ("a.raw", "b"):
+        with refused(name, f"open its header, {name[0]}.hdr", error=BadFile):
+            gs.open_scene(tmp_path / name)
+
+
 def test_headers_as_people_write_them(tmp_path):
     """Letters of Windows, comments, lists over lines, names in capitals, fields of no interest, an offset."""
     path = write(tmp_path / "a.hdr", CUBE / 100, header_offset=7, wavelength=None, wavelength_units="\u00b5m")

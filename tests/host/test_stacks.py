@@ -168,6 +168,10 @@ def test_tables_as_people_write_them(tmp_path):
     np.testing.assert_allclose(scene.wavelengths, [400, 550, 700], rtol=1e-15)
     np.testing.assert_array_equal(scene.content.spectra, [[.1, .2, .3], [.7, .6, .5]])
     assert scene.shape == (10, 20)
+    path.write_text("nr,name,400,500,600\n1,dark skin,0.1,0.1,0.9\n2,light skin,0.8,0.1,0.1\n")
+    np.testing.assert_array_equal(gs.open_scene(path).content.spectra, [[.1, .1, .9], [.8, .1, .1]])
+    path.write_text("Reflectances,1,2\nname,a,b\nwavelength um,,\n0.4,0.1,0.8\n0.5,0.1,0.1\n")
+    np.testing.assert_array_equal(gs.open_scene(path).content.spectra, [[.1, .1], [.8, .1]])
     path.write_text("name,400nm,500nm,600nm\nred,0.1,0.1,0.9\nblue,0.8,0.1,0.1\n")
     np.testing.assert_array_equal(gs.open_scene(path).content.spectra, [[.1, .1, .9], [.8, .1, .1]])
 
@@ -199,7 +203,8 @@ def test_kinds_and_scales_of_tables(tmp_path):
     ("nm,a\n400,1\n500,x\n", "spectrum 1 at 500 nm"), ("nm,a\n400,1\n500,\n", "spectrum 1 at 500 nm"),
     ("nm,a\n400,1\n500\n", "lines of 1 to 2 cells"), ("nm,a\n400,1\n400,2\n", "wavelengths"),
     ("nm,a\n400,1\n500,nan\n", "no number"), ("nm,a\n400,1\n500,-1\n", "negative"),
-    ("nm,a\n0.4,1\n0.5,1\n", "wavelengths"),
+    ("nm,a\n0.4,1\n0.5,1\n", "wavelengths"), ("nm,a\n4x0,1\n500,1\n600,1\n", "wavelengths"),
+    ("name,4x0,500,600\na,1,2,3\n", "wavelengths"), ("nm,a\n400,1\nx,1\n500,1\n600,1\n", "wavelengths"),
     ("400,500\n500,600\n", "both"), ("nm,a\n400,1e39\n500,1\n", "scale"), ("\0\0,\0\n" * 9, "")])
 def test_refusals_of_tables(tmp_path, text, said):
     (tmp_path / "a.csv").write_text(text)
