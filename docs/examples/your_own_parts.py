@@ -1,0 +1,132 @@
+"""
+A stage, a model and a backend of your own
+==========================================
+
+What gpusim does not model can be put between its steps. Here: cross-talk between pixels as a stage with a reference to
+judge it by, a lens with glare as a model, and a backend that keeps a diary.
+"""
+
+import dataclasses
+from collections import Counter
+from contextlib import contextmanager
+
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.ndimage import correlate
+
+import gpusim as gs
+from gpusim.backends.device import Device
+from gpusim.kernels.stage import Case
+
+# %%
+# A stage: cross-talk
+# -------------------
+# Of the electrons that light frees below a pixel, a part wanders to each of its four neighbours. A stage begins with a
+# reference in float64 that reads like the formula; the fast form is judged by it, on cases with a tolerance and its
+# reason.
+
+
+def crosstalk_reference(mean, part):
+    """Each pixel keeps 1 - 4 part and gets `part` of each neighbour; at the border it is its own neighbour."""
+    wide = np.pad(np.asarray(mean, np.float64), 1, mode="edge")
+    neighbours = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
+    return (1 - 4 * part) * mean + part * neighbours
+
+
+def crosstalk(mean, part):
+    """The same in float32, by one call."""
+    weights = np.array([[0, part, 0], [part, 1 - 4 * part, part], [0, part, 0]], np.float32)
+    return correlate(np.asarray(mean, np.float32), weights, mode="nearest")
+
+
+random = np.random.default_rng(1)
+for shape in ((1, 1), (3, 5), (64, 96)):
+    inputs = {"mean": random.uniform(0, 6000, shape).astype(np.float32), "part": 0.03}
+    case = Case(f"{shape}", inputs, 6 * 2.0**-24, "five products and four sums in float32")
+    error = case.error(crosstalk(**inputs), crosstalk_reference(**inputs))
+    print(f"{case.name:10s} error {error:.1e} of {case.tolerance:.1e}: {'ok' if error <= case.tolerance else 'FAIL'}")
+
+# %%
+# In the chain
+# ------------
+# An exposure holds the mean electrons. Other electrons in their place are drawn, converted and developed like any.
+# Colours fade and turn, since red and blue pixels now count green light, which no matrix was told of.
+
+simulate = gs.Simulator(gs.open_camera("phone"))
+exposure = simulate.expose(gs.chart("colorchecker", size=(240, 160)))
+
+
+def with_electrons(exposure, mean):
+    """An exposure of other mean electrons, (rows, cols), by the same chip."""
+    mean = simulate.device.array(np.ascontiguousarray(mean, np.float32))
+    chip = simulate.readout.chip_mean(mean, exposure.exposure_time)
+    return dataclasses.replace(exposure, mean=mean, chip_mean=chip)
+
+
+electrons = simulate.device.numpy(exposure.mean)
+figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
+for axis, part in zip(axes, (0.0, 0.03, 0.1), strict=True):
+    frame = next(simulate.shoot(with_electrons(exposure, crosstalk(electrons, part)), seed=1))
+    axis.imshow(frame.rgb)
+    axis.set_title(f"{100 * part:.0f} % to each neighbour")
+    axis.set_axis_off()
+
+# %%
+# To make it a stage of the package, four files with its name go into ``kernels/sensor``: the contract with its cases,
+# the reference, an OpenCL and a Warp kernel. They are found by name; ``gpusim verify`` and the tests then run it on
+# every device.
+
+# %%
+# A model: a lens with glare
+# --------------------------
+# A lens is whatever makes a spot of light. This one scatters 3 % of it into a wide skirt, which the diffraction of a
+# perfect lens has not.
+
+y, x = (np.mgrid[:257, :257] - 128) * 0.3  # [µm]
+r2 = x**2 + y**2
+core, skirt = np.exp(-r2 / (2 * 0.8**2)), np.exp(-r2 / (2 * 12**2)) / (4**2 + r2)
+spot = 0.97 * core / core.sum() + 0.03 * skirt / skirt.sum()
+phone = gs.open_camera("phone")
+lenses = {"clean": core, "with glare": spot}
+
+lights = gs.chart("points", size=(240, 120), count=12, lowest=1e3, highest=1e6, seed=3)
+figure, axes = plt.subplots(1, 2, figsize=(11, 3), layout="constrained")
+for axis, (title, values) in zip(axes, lenses.items(), strict=True):
+    spread = gs.PointSpread(np.array([360.0, 780.0]), np.stack([values, values]), 0.3e-6)
+    lens = dataclasses.replace(phone.optics, model="measured", psf=spread)
+    camera = dataclasses.replace(phone, optics=lens).with_(exposure_time_ms=300)
+    axis.imshow(gs.Simulator(camera)(lights, seed=1).rgb)
+    axis.set_title(title)
+    axis.set_axis_off()
+
+# %%
+# A backend: one that keeps a diary
+# ---------------------------------
+# A backend is a class of ``Device``. The base class computes by the references; this one also counts what it ran. One
+# for other hardware says in addition how arrays are made there and how a kernel is started (``launch``).
+
+
+class Diary(Device):
+    """The reference, and how often each stage ran."""
+
+    name = "diary"
+
+    def __init__(self):
+        super().__init__()
+        self.ran = Counter()
+
+    @contextmanager
+    def charged(self, stage):
+        """Note the stage, then run it."""
+        self.ran[stage] += 1
+        with super().charged(stage):
+            yield
+
+
+small = gs.chart("colorchecker", size=(48, 32))
+diary = Diary()
+slow, fast = gs.Simulator(phone, device=diary)(small, seed=1), gs.Simulator(phone)(small, seed=1)
+print(f"mean electrons differ by {np.abs(slow.mean / fast.mean - 1).max():.1e}, the picture in "
+      f"{(slow.rgb != fast.rgb).sum()} of {slow.rgb.size} codes")
+for stage, times in diary.ran.items():
+    print(f"{stage:22s} {times}")
