@@ -30,6 +30,11 @@ GALLERY = {  # photo.png: NASA's portrait of Eileen Collins, of scikit-image
     "sweep": "gpusim simulate sweep --camera phone --f-number 1.2 --size 480x320 -o sweep.png",
 }
 
+PLOTS = {  # of plots.md
+    "look-colors": "gpusim look colorchecker --what colors --camera phone --size 480x320 -o look-colors.png",
+    "look-camera": "gpusim look --what camera --camera phone -o look-camera.png",
+}
+
 
 def main():
     """Make all pictures."""
@@ -45,7 +50,7 @@ def main():
 
 def gallery(folder):
     """What the commands write, made in a folder that has photo.png."""
-    for name, command in GALLERY.items():
+    for name, command in (GALLERY | PLOTS).items():
         words = [str(folder / word) if word == "photo.png" else str(HERE / word) if word == f"{name}.png" else word
                  for word in shlex.split(command)[1:]]
         if status := gpusim(words):

@@ -26,7 +26,7 @@ def efficiency(camera: Camera, ax=None) -> Any:
     seen = np.flatnonzero(sensor.qe.values.max(axis=0) > 0)
     ax.set_xlim(wavelengths[seen[0]], wavelengths[seen[-1]])
     ax.set_ylim(0, 1.05 * ax.get_ylim()[1])
-    return finish(ax, f"{camera.name}: quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]")
+    return finish(ax, camera.name, "quantum efficiency", "wavelength [nm]", "efficiency [e⁻/photon]")
 
 
 def camera(camera: Camera, figure=None) -> Any:

@@ -10,7 +10,8 @@ CHANNELS = {"R": (0.84, 0.15, 0.16), "G": (0.17, 0.63, 0.17), "B": (0.12, 0.35, 
             "W": (0.45, 0.45, 0.45), "C": (0.09, 0.65, 0.75), "M": (0.80, 0.20, 0.65), "E": (0.05, 0.55, 0.45)}
 OTHERS = ((0.90, 0.55, 0.10), (0.50, 0.30, 0.65), (0.55, 0.34, 0.29), (0.50, 0.50, 0.13))  # of letters not in it
 WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # ways of matplotlib to draw
-LIGHTEST = 0.62  # of a line's codes on white
+STYLES = ("-", "--", "-.", ":")
+LIGHTEST = 0.5  # of a line's codes on white
 BAR = 1.3  # inches of a colour bar
 QUIET = "0.55"  # grey of lines that are no data
 
@@ -58,7 +59,7 @@ def image(ax, codes, title=""):
     ax.imshow(codes, interpolation="nearest" if max(codes.shape[:2]) < 256 else None)
     ax.set_xticks([])
     ax.set_yticks([])
-    ax.set_title(title)
+    ax.set_title(title, fontsize="medium")
     return ax
 
 
@@ -79,15 +80,33 @@ def error_map(ax, values, title, label, **colors):
     return ax
 
 
-def finish(ax, title, x, y, legend=True):
-    """Title, labels of both axes, a faint grid and a legend."""
-    ax.set_title(title)
+def curve(ax, x, y, color, label, first: int = 0, **options):
+    """A line, dashed by how many of its colour there are: those of several cameras can be told apart on one axes.
+
+    first: number of the first one's dashes in STYLES.
+    """
+    before = sum(line.get_color() == color for line in ax.get_lines() if len(line.get_xdata()) > 1)
+    ax.plot(x, y, color=color, linestyle=STYLES[(first + before) % len(STYLES)], label=label, **options)
+
+
+def legend_once(ax, label: str) -> str:
+    """The label, or one that legends leave out where they have it already."""
+    return "_nolegend_" if any(line.get_label() == label for line in ax.get_lines()) else label
+
+
+def widened(ax, high: float) -> float:
+    """The right limit that shows up to `high` and what was drawn before."""
+    return max(high, ax.get_xlim()[1]) if ax.get_lines() else high
+
+
+def finish(ax, name, title, x, y):
+    """Title, labels of both axes, a faint grid and a legend; of axes that have another's the title without the name."""
+    ax.set_title(title[0].upper() + title[1:] if ax.get_title() or not name else f"{name}: {title}", fontsize="medium")
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.grid(True, color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
-    if legend:
-        ax.legend(frameon=False, fontsize="small")
+    ax.legend(frameon=False, fontsize="small")
     return ax
 
 

@@ -13,7 +13,17 @@ from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.lens import open_lens, spread_radius
 from gpusim.optics.response import lens_response, spread_at
 from gpusim.planner.weights import product_weights
-from gpusim.plot.canvas import QUIET, axes_of, channel_colors, finish, panels, wavelength_color
+from gpusim.plot.canvas import (
+    QUIET,
+    axes_of,
+    channel_colors,
+    curve,
+    finish,
+    legend_once,
+    panels,
+    wavelength_color,
+    widened,
+)
 
 WAVELENGTHS = (450.0, 550.0, 650.0)  # [nm] drawn where none are named
 STEP = 20.0  # [nm] between the wavelengths that stand for a channel's
@@ -24,13 +34,14 @@ DECADES = 4  # of a point spread's picture
 
 
 def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0.0, 0.0), light="D65",
-        pixel: bool = False) -> Any:
+        pixel: bool = False, label: str = "") -> Any:
     """Modulation transfer of a camera's lens against the frequency on the sensor.
 
     of: wavelengths [nm] and letters of channels, one or several; None: 450, 550, 650 nm and every channel. A channel
     sees the light (an illuminant's name, or a relative power in energy units) by its quantum efficiency.
     direction: "across" (along rows) or "down". place: field point (y, x), 1 the frame's corner; lateral colour, which
     moves the image, is left out. pixel: of lens and pixel aperture together; the aperture's own is drawn in grey.
+    label: what the legend names it by, where several cameras are drawn on one `ax`.
     Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
     """
     of = _asked(checked_camera(camera), of)
@@ -43,20 +54,21 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
     own = np.sinc(1e3 * frequencies * aperture)
     fy, fx = (0.0, 1e3 * frequencies) if direction == "across" else (1e3 * frequencies, 0.0)
     ax, colors = axes_of(ax), channel_colors(sensor.channels)
+    right = widened(ax, frequencies[-1])
     for one in of:
         nodes, weights = _light_of(camera, one, light)
         response = np.abs(weights @ lens_response(optics, nodes, fy, fx, place)) * (np.abs(own) if pixel else 1)
-        style = {"color": colors[one], "linestyle": "--"} if isinstance(one, str) else {"color": wavelength_color(one)}
-        ax.plot(frequencies, response, label=_name(one), **style)
-    ax.plot(frequencies, np.abs(own), color=QUIET, linestyle=":", label="pixel aperture alone")
-    if nyquist <= frequencies[-1]:
-        ax.axvline(nyquist, color=QUIET, linewidth=0.8)
-        ax.text(nyquist, 1.0, " Nyquist", color="0.4", fontsize="small", va="top")
-    ax.set_xlim(0, frequencies[-1])
+        name, is_channel = f"{label} {_name(one)}".strip(), isinstance(one, str)
+        curve(ax, frequencies, response, colors[one] if is_channel else wavelength_color(one), name, first=is_channel)
+    alone = f"{label} pixel aperture alone".strip()
+    ax.plot(frequencies, np.abs(own), color=QUIET, linestyle=":", label=legend_once(ax, alone))
+    ax.axvline(nyquist, color=QUIET, linewidth=0.8)
+    ax.text(nyquist, 1.0, " Nyquist", color="0.4", fontsize="small", va="top", clip_on=True)
+    ax.set_xlim(0, right)
     ax.set_ylim(0, 1.05)
     parts = "lens and pixel" if pixel else "lens"
     at = "" if not any(place) else f" at field ({place[0]:g}, {place[1]:g})"
-    return finish(ax, f"{camera.name}: MTF of the {parts}, f/{optics.f_number:g}, {direction}{at}",
+    return finish(ax, f"{camera.name}, f/{optics.f_number:g}", f"MTF of the {parts}, {direction}{at}",
                   "frequency on the sensor [cycle/mm]", "modulation transfer")
 
 
@@ -94,7 +106,7 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     for ax in axes.flat[len(of):]:
         ax.set_axis_off()
     figure.colorbar(drawn, ax=axes, label="irradiance over that of the peak", shrink=0.8)
-    figure.suptitle(f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}")
+    figure.suptitle(f"{camera.name}: point spread of the lens, f/{camera.optics.f_number:g}", fontsize="medium")
     return figure
 
 
@@ -108,7 +120,7 @@ def _spread(camera, energy, step, ax, title):
                       cmap="magma", extent=extent, interpolation="nearest")
     height, width = (1e6 * side for side in camera.sensor.aperture)
     ax.add_patch(Rectangle((-width / 2, -height / 2), width, height, fill=False, edgecolor="w", linewidth=0.8))
-    ax.set_title(title)
+    ax.set_title(title, fontsize="medium")
     ax.set_xlabel("[µm]")
     ax.set_ylabel("[µm]")
     return drawn

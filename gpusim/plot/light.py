@@ -16,11 +16,11 @@ from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.domain.spectrum import LIGHT_SPEED, LONGEST, PLANCK, SHORTEST, Spectrum, energy_from_photons
+from gpusim.domain.spectrum import LONGEST, SHORTEST, Spectrum, energy_from_photons, energy_per_photon
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.planner.sampling import frame_start
 from gpusim.planner.weights import electrons_per_content, product_weights
-from gpusim.plot.canvas import axes_of, finish, image, panels, picture_size, readable, srgb
+from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 from gpusim.truth import viewed
 
 BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
@@ -72,13 +72,13 @@ def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> An
                       "reflectance")
     found = [(*patch_spectrum(scene, place, quantity), name) for place, name in zip(*_places(scene, at), strict=True)]
     ax = axes_of(ax)
-    for (wavelengths, values, color, name), style in zip(found, cycle(("-", "--", "-.", ":"))):
+    for (wavelengths, values, color, name), style in zip(found, cycle(STYLES)):
         ax.plot(wavelengths, values, color=color, linestyle=style, label=name)
     ax.set_xlim(scene.wavelengths[0], scene.wavelengths[-1])
     ax.set_ylim(bottom=min(0.0, *(float(values.min()) for _, values, *_ in found)))
     ax.ticklabel_format(axis="y", scilimits=(-2, 3))
     unit = QUANTITIES[quantity]
-    return finish(ax, f"{scene.name}: {quantity} of {'a patch' if len(found) == 1 else 'patches'}", "wavelength [nm]",
+    return finish(ax, scene.name, f"{quantity} of {'a patch' if len(found) == 1 else 'patches'}", "wavelength [nm]",
                   f"{quantity} {unit}")
 
 
@@ -104,7 +104,7 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
             content, wavelengths = CubicSpline(wavelengths, content)(fine), fine
         values = content * light.at(wavelengths)
         if quantity == "radiance":
-            values = values * PLANCK * LIGHT_SPEED / (1e-9 * wavelengths)
+            values = values * energy_per_photon(wavelengths)
     return wavelengths, values, color
 
 

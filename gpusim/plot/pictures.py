@@ -13,7 +13,20 @@ from gpusim.measure.checker import checker_of
 from gpusim.measure.difference import ciede2000
 from gpusim.measure.sfr import EdgeResponse, mtf50
 from gpusim.measure.sfr import sfr as measured
-from gpusim.plot.canvas import BAR, QUIET, axes_of, channel_colors, error_map, finish, image, panels, picture_size, srgb
+from gpusim.plot.canvas import (
+    BAR,
+    QUIET,
+    axes_of,
+    channel_colors,
+    curve,
+    error_map,
+    finish,
+    image,
+    panels,
+    picture_size,
+    srgb,
+    widened,
+)
 
 EDGE = (320, 240)  # pixels of the slanted edge that a camera is shown
 FRAMES = 16  # of it whose mean is measured
@@ -21,27 +34,30 @@ HIGH = 99.5  # percentile of a map of errors that has its brightest colour
 FINE = 2  # samples of it along a pixel, so that the chart's own blur is small
 
 
-def sfr(what, ax=None, *, seed: int = 0, device="auto") -> Any:
+def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
     """Spatial frequency response by a slanted edge (ISO 12233), MTF50 of each channel marked.
 
     what: a Camera, which is shown the chart "slanted-edge", exposed automatically, and of 16 frames of it the mean is
     measured; a frame of one such edge; or an EdgeResponse of `gpusim.measure.sfr`. seed, device: by which a camera
-    takes them. Returns the axes. Raises BadData, Missing.
+    takes them. label: what the legend names it by, where several are drawn on one `ax`. Returns the axes. Raises
+    BadData, Missing.
     """
-    found, letters, name, pitch = _response(what, seed, device)
+    found, letters, camera, pitch = _response(what, seed, device)
     ax, responses = axes_of(ax), np.atleast_2d(found.response)
     frequencies, unit = (found.frequencies, "cycle/pixel") if found.per_mm is None else (found.per_mm, "cycle/mm")
     colors = channel_colors(letters)
+    right, top = widened(ax, frequencies[-1]), ax.get_ylim()[1] if ax.get_lines() else 1.05
     for letter, response, half in zip(letters, responses, np.atleast_1d(mtf50(found)), strict=True):
-        ax.plot(frequencies, response, color=colors[letter], label=f"{letter}: MTF50 {half:.4g} {unit}".lstrip(": "))
+        name = f"{label} {letter}".strip()
+        curve(ax, frequencies, response, colors[letter], f"{name}: MTF50 {half:.4g} {unit}".lstrip(": "))
         ax.plot([half], [0.5], "o", color=colors[letter], markersize=4)
     ax.axhline(0.5, color=QUIET, linewidth=0.8, zorder=0.5)
     nyquist = 0.5 if pitch is None else 0.5e-3 / pitch
     ax.axvline(nyquist, color=QUIET, linewidth=0.8, zorder=0.5)
-    ax.text(nyquist, 0.02, " Nyquist", color="0.4", fontsize="small")
-    ax.set_xlim(0, frequencies[-1])
-    ax.set_ylim(0, max(1.05, 1.05 * float(responses.max())))
-    return finish(ax, f"{name}: SFR of a slanted edge", f"frequency along the edge's normal [{unit}]", "response")
+    ax.text(nyquist, 0.02, " Nyquist", color="0.4", fontsize="small", clip_on=True)
+    ax.set_xlim(0, right)
+    ax.set_ylim(0, max(top, 1.05 * float(responses.max())))
+    return finish(ax, camera, "SFR of a slanted edge", f"frequency along the edge's normal [{unit}]", "response")
 
 
 def picture(frame, ax=None) -> Any:
@@ -84,7 +100,7 @@ def color_checker(frame, scene, ax=None) -> Any:
     ax.set_xticks(np.arange(1, 25))
     ax.set_xlim(0.3, 24.7)
     ax.set_ylim(0, 1.15 * float(found.max()) or 1.0)
-    finish(ax, f"{frame.camera.name}: colour error of a ColorChecker", "patch, from dark skin (1) to black (24)",
+    finish(ax, frame.camera.name, "colour error of a ColorChecker", "patch, from dark skin (1) to black (24)",
            "CIEDE2000")
     ax.grid(False, axis="x")
     return ax
@@ -109,7 +125,7 @@ def _response(what, seed, device):
     if isinstance(what, EdgeResponse):
         letters = "RGB" if np.shape(what.response)[:-1] == (3,) else range(len(np.atleast_2d(what.response)))
         pitch = None if what.per_mm is None else float(what.frequencies[1] / what.per_mm[1] * 1e-3)
-        return what, ["" if len(letters) == 1 else str(one) for one in letters], "edge", pitch
+        return what, ["" if len(letters) == 1 else str(one) for one in letters], "", pitch
     if isinstance(what, Camera):
         from gpusim.simulator import Simulator
 

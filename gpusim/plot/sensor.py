@@ -13,7 +13,7 @@ from gpusim.measure.mosaic import colored
 from gpusim.measure.photon_transfer import PhotonTransfer
 from gpusim.measure.photon_transfer import photon_transfer as measured
 from gpusim.measure.snr import snr_curve
-from gpusim.plot.canvas import CHANNELS, QUIET, axes_of, channel_colors, finish, image, picture_size
+from gpusim.plot.canvas import CHANNELS, QUIET, axes_of, channel_colors, curve, finish, image, legend_once, picture_size
 from gpusim.readout import Readout
 
 RAW_GAMMA = 2.2  # of the mosaic's picture
@@ -45,37 +45,37 @@ def raw_codes(raw, sensor: Sensor, gamma: float = RAW_GAMMA) -> np.ndarray:
     return colored(sensor, np.uint8(255 * values ** (1 / gamma) + 0.5))
 
 
-def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False) -> Any:
+def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = False, label: str = "") -> Any:
     """Signal to noise ratio of each channel against the exposure of the sensor, up to saturation.
 
     camera: a Camera or a Sensor. light, seconds, temporal: see `gpusim.measure.snr_curve`. The grey line has the
-    photons' noise alone, of the channel that sees most light. Returns the axes. Raises BadData, Missing, OutOfRange,
-    UnknownName.
+    photons' noise alone, of the channel that sees most light. label: what the legend names it by, where several are
+    drawn on one `ax`. Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
     """
     if not isinstance(camera, (Camera, Sensor)):
         raise BadData(f"snr: {type(camera).__name__}, wanted a Camera or a Sensor")
     sensor = camera.sensor if isinstance(camera, Camera) else camera
     found = snr_curve(sensor, light, seconds=seconds, temporal=temporal)
     ax = axes_of(ax)
+    left, lowest = ax.get_xlim()[0] if ax.get_lines() else np.inf, max(LOWEST, float(np.nanmin(found.snr)))
     most = int(found.electrons[:, -1].argmax())
     seen = ~np.isnan(found.snr[most])
     for (letter, color), values, full in zip(channel_colors(sensor.channels).items(), found.snr, found.saturation,
                                              strict=True):
         best = "" if np.isnan(values).all() else f", at most {np.nanmax(values):.1f} dB"
-        ax.plot(found.exposure, values, color=color, label=f"channel {letter}{best}")
+        curve(ax, found.exposure, values, color, f"{label} channel {letter}{best}".strip())
         if np.isfinite(full):
             ax.plot([full], values[found.exposure == full], "o", color=color, markersize=4)
+    alone = f"{label} photons alone, channel {sensor.channels[most]}".strip()
     ax.plot(found.exposure[seen], 10 * np.log10(found.electrons[most, seen]), color=QUIET, linestyle="--", zorder=0.5,
-            label=f"photons alone, channel {sensor.channels[most]}")
+            label=legend_once(ax, alone))
     ax.set_xscale("log")
-    lowest = max(LOWEST, float(np.nanmin(found.snr)))
     ax.set_ylim(bottom=lowest)
-    ax.set_xlim(left=found.exposure[np.nanmax(found.snr, axis=0) >= lowest][0])
-    name = camera.name if isinstance(camera, Camera) else "sensor"
+    ax.set_xlim(left=min(left, found.exposure[np.nanmax(found.snr, axis=0) >= lowest][0]))
     named = light if isinstance(light, str) else light.name or "the light given"
-    patterns = "temporal noise" if temporal else "noise and fixed patterns"
-    return finish(ax, f"{name}: SNR up to saturation, {patterns}", f"exposure of the sensor in {named} [lx s]",
-                  "signal to noise ratio [dB]")
+    name = camera.name if isinstance(camera, Camera) else ""
+    return finish(ax, name, f"{'temporal ' * temporal}SNR up to saturation",
+                  f"exposure of the sensor in {named} [lx s]", "signal to noise ratio [dB]")
 
 
 def noise(frame, ax=None) -> Any:
@@ -97,7 +97,7 @@ def noise(frame, ax=None) -> Any:
                 label=f"{letter}: {values.size} pixels, mean {values.mean():+.3f}, sigma {values.std():.3f}")
     ax.plot(middle, np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi), color="0.3", linestyle="--", label="normal")
     ax.set_ylim(0, 1.55 * ax.get_ylim()[1])
-    return finish(ax, f"{frame.camera.name}: noise of one frame", "(raw value - expected) / expected sigma",
+    return finish(ax, frame.camera.name, "noise of one frame", "(raw value - expected) / expected sigma",
                   "probability density")
 
 
@@ -135,9 +135,8 @@ def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     of even light, from 1e-4 of saturation to beyond it. seed, device: of these. Returns the axes. Raises BadData,
     Missing.
     """
-    name = "photon transfer"
+    name = what.name if isinstance(what, Camera) else ""
     if isinstance(what, (Camera, Sensor)):
-        name = f"{what.name}: photon transfer" if isinstance(what, Camera) else name
         what = measured_transfer(what.sensor if isinstance(what, Camera) else what, seed, device)
     if not isinstance(what, PhotonTransfer):
         raise BadData(f"photon_transfer: {type(what).__name__}, wanted a PhotonTransfer, a Camera or a Sensor")
@@ -155,7 +154,7 @@ def photon_transfer(what, ax=None, *, seed: int = 0, device="auto") -> Any:
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.5 * min(floor, total[seen].min()))
-    return finish(ax, name, "signal above dark [DN]", "temporal noise, standard deviation [DN]")
+    return finish(ax, name, "photon transfer", "signal above dark [DN]", "temporal noise, standard deviation [DN]")
 
 
 def measured_transfer(sensor: Sensor, seed: int = 0, device="auto") -> PhotonTransfer:

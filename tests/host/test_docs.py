@@ -27,7 +27,7 @@ def commands(text):
     """Command lines in blocks and in quotes, continued lines joined."""
     blocks = re.findall(r"```\n(.*?)```", text, re.S)
     lines = [line for block in blocks for line in block.split("\n")] + re.findall(r"`(gpusim [^`]+)`", text)
-    known = re.compile(r"(pip .* && )?(gpusim (simulate|plan|video|pairs) .*)")
+    known = re.compile(r"(pip .* && )?(gpusim (simulate|plan|look|video|pairs) .*)")
     return [found[2] for line in lines if (found := known.fullmatch(line))]
 
 
@@ -39,6 +39,17 @@ def test_gallery_has_the_commands_that_made_it():
     for command in found:
         assert f'"{command}"' in pictures
         assert (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+
+
+def test_pictures_of_plots_have_their_commands_and_all_panels():
+    from gpusim.look import PANELS
+
+    pictures, page = ((ROOT / "docs" / name).read_text() for name in ("pictures.py", "plots.md"))
+    found = [command for command in commands(page) if " -o " in command]
+    assert len(found) == page.count("](pictures/") == 2
+    for command in found:
+        assert f'"{command}"' in pictures and (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+    assert {*re.findall(r"^\| `(\w+)` \|", page, re.M)} == {*PANELS}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -125,6 +125,17 @@ def test_snr_of_photons_alone_is_their_root(ax):
     assert snr.max() == pytest.approx(40, abs=1e-9)  # 10 lg 10^4, at saturation
 
 
+def test_cameras_on_one_axes_can_be_told_apart(ax):
+    for f_number in (8, 2):  # the first one's cut-off is the lower
+        gs.plot.mtf(PHONE.with_(f_number=f_number), 550, ax, label=f"f/{f_number}")
+    drawn = {line.get_label(): line for line in ax.get_lines()}
+    first, second = drawn["f/8 550 nm"], drawn["f/2 550 nm"]
+    assert first.get_color() == second.get_color() and first.get_linestyle() != second.get_linestyle()
+    assert ax.get_xlim()[1] >= second.get_xdata()[-1] and ax.get_title() == "MTF of the lens, across"
+    gs.plot.mtf(PHONE.with_(f_number=8), 550, ax)
+    assert ax.get_xlim()[1] >= second.get_xdata()[-1]
+
+
 def test_snr_has_the_noise_of_frames(ax):
     """Drawn frames of even light: SNR within 0.2 dB, of which 0.06 dB is the spread of 10^4 pixels (4 sigma: .25)."""
     sensor = PHONE.sensor
