@@ -117,7 +117,7 @@ def test_what_is_read_of_damaged_arrays_is_what_numpy_reads(tmp_path):
     import fuzz
 
     inputs, path, read = fuzz.Inputs("array", tmp_path), tmp_path / "a.npy", 0
-    for number in range(600):
+    for number in range(250):
         path.write_bytes(inputs.make(9, number))
         try:
             scene = gs.open_scene(path, wavelengths=fuzz.WAVES)
@@ -129,7 +129,7 @@ def test_what_is_read_of_damaged_arrays_is_what_numpy_reads(tmp_path):
         np.testing.assert_array_equal(scene.content.values,
                                       np.maximum(array if len(array) == 3 else np.moveaxis(array, -1, 0), 0))
         read += 1
-    assert read > 20
+    assert read > 10
 
 
 # ---- .csv
