@@ -40,7 +40,7 @@ class PairSet(Dataset):
 
     photographs: files. camera: a Camera. vary: as for `gpusim pairs --vary`, "" for nothing. each: pairs of every
     photograph. device, tolerance: as for `Simulator`. pictures: codes beside them. options: of `open_scene`.
-    An item has "raw" (rows, cols), "clean" (rows, cols) [DN], "rgb" (rows, cols, 3) if asked for, as tensors, and
+    An item has "raw" (rows, cols), "clean" (rows, cols) [DN], "rgb" (3, rows, cols) if asked for, as tensors, and
     "told". It depends on its number and the seed alone. Each process that asks for items opens the device for itself;
     forked ones cannot where their parent has done so before: start them by "spawn" then.
     Raises as Simulator does, and BadData for no photographs and for ranges that are none.
@@ -67,8 +67,9 @@ class PairSet(Dataset):
         if not -len(self) <= number < len(self):
             raise IndexError(f"pair {number} of {len(self)}")
         pair = self._here().pair(number % len(self))
-        return {name: torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part
+        made = {name: torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part
                 for name, part in pair.items()}
+        return made | ({"rgb": made["rgb"].movedim(-1, 0)} if "rgb" in made else {})
 
     def __getstate__(self):
         return self.__dict__ | {"_pairs": None}

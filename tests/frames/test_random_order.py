@@ -162,6 +162,8 @@ class Loop:
     def look(self, frame, setting, seed, number):
         for part in self.random.permutation(PARTS):
             found = getattr(frame, part)
+            if part == "linear":
+                found = np.moveaxis(found, -1, 0)  # as on the device
             self.require(found, {"rgb": "codes"}.get(part, part), setting, seed, number)
 
     def run(self, turns):

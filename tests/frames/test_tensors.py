@@ -175,7 +175,7 @@ def test_workers_of_a_loader_make_the_same_pairs(device, tmp_path):
     pairs = PairSet(sorted(tmp_path.iterdir()), PHONE, vary="exposure=1/200..1/20", each=2, device=device, seed=3,
                     pictures=True)
     expected = [pairs[number] for number in range(len(pairs))]
-    assert expected[0]["rgb"].shape == (24, 30, 3) and expected[0]["clean"].dtype == torch.float32
+    assert expected[0]["rgb"].shape == (3, 24, 30) and expected[0]["clean"].dtype == torch.float32
     for workers in (1, 2):
         loaded = list(DataLoader(pairs, batch_size=None, num_workers=workers, multiprocessing_context="spawn"))
         streamed = list(DataLoader(PairStream(pairs), batch_size=None, num_workers=workers,
