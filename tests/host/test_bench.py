@@ -1,6 +1,7 @@
 """The scripts in bench/: what they store is read again, compared and shown, and no figure of theirs is pasted."""
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -169,9 +170,16 @@ def test_rounds_alternate_and_leave_the_warm_ones_out():
     assert order == ["a", "b"] * 3 and {name: len(taken) for name, taken in times.items()} == {"a": 2, "b": 2}
 
 
-def run(script, *arguments):
-    ended = subprocess.run([sys.executable, BENCH / script, *map(str, arguments)], capture_output=True, text=True)
-    return ended.returncode, ended.stderr
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """A script in this process, which has loaded what all of them need: its exit status, and what it says of errors."""
+    def of(script, *arguments):
+        monkeypatch.setattr(sys, "argv", [str(BENCH / script), *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(BENCH / script), run_name="__main__")
+        return ended.value.code, capsys.readouterr().err
+
+    return of
 
 
 @pytest.mark.parametrize(("script", "arguments", "said"), [
@@ -187,7 +195,7 @@ def run(script, *arguments):
     ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
     ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
 ])
-def test_mistakes_are_said_in_one_line(script, arguments, said, tmp_path):
+def test_mistakes_are_said_in_one_line(script, arguments, said, run):
     status, error = run(script, *arguments)
     assert status == 2 and said in error and error.count("\n") == 1, error
 
@@ -195,7 +203,7 @@ def test_mistakes_are_said_in_one_line(script, arguments, said, tmp_path):
 @pytest.mark.parametrize(("text", "said"), [
     ("no JSON", "is no JSON"), ("[]", "is no result"), ('{"bench": "noise"}', "is no result"),
     (json.dumps(EXAMPLES[0]), "is a result of 'stages'; wanted one of 'noise'")])
-def test_what_is_no_result_is_refused(text, said, tmp_path):
+def test_what_is_no_result_is_refused(text, said, run, tmp_path):
     (tmp_path / "old.json").write_text(text)
     status, error = run("noise.py", "--device", "numpy", "--against", tmp_path / "old.json")
     assert status == 2 and said in error and error.count("\n") == 1, error
@@ -213,6 +221,6 @@ def test_command_writes_the_readme(stored, tmp_path):
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
     readme.write_text(marks("loops", "threads", "compare", "triples", "tolerances", "color"))
-    assert run("tables.py", "--results", stored, "--readme", readme)[0] == 0
+    subprocess.run([sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True)
     assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "tolerances", "color"),
                                                tables.stored_results(stored))
