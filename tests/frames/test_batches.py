@@ -28,12 +28,12 @@ def host(device, array):
 def test_items_of_several_scenes(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the batch's."""
     simulator, scenes = gs.Simulator(PHONE, device=device, tolerance=4e-4), cubes()
-    batch = simulator.batch(COUNT, output)
+    batch, programs = simulator.batch(COUNT, output), [simulator.program(scene, 0.01) for scene in scenes]
     for first in (0, 5, 9):
-        order = scenes[first % 2:] + scenes[:first % 2]
-        found = host(simulator.device, batch(order, seed=3, frame=first, exposure_time=0.01))
-        for item, scene in enumerate(order):
-            own = simulator.program(scene, 0.01).output(output, seed=3, frame=first + item)
+        order = [(first + item) % COUNT for item in range(COUNT)]
+        found = host(simulator.device, batch([scenes[n] for n in order], seed=3, frame=first, exposure_time=0.01))
+        for item, n in enumerate(order):
+            own = programs[n].output(output, seed=3, frame=first + item)
             np.testing.assert_array_equal(found[item], host(simulator.device, own))
 
 
