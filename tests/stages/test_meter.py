@@ -144,6 +144,22 @@ def test_the_percentile_is_that_of_numpy(percentile):
         assert automatic.signal_of(light) == pytest.approx(wanted, rel=0 if percentile * 32 % 1 == 0 else 1e-4)
 
 
+LIGHT: dict = {}  # that falls on a device's pixels, stacked or not, however they are metered
+
+
+def exposed(automatic, stacked, device):
+    """A simulator that meters by `automatic`, and the electrons a second of its pixels."""
+    camera = gs.open_camera("phone")
+    sensor = replace(camera.sensor, exposure_time=None, auto_exposure=automatic, stacked=stacked,
+                     noise=replace(camera.sensor.noise, dark_current=7.7))
+    processor = replace(camera.processor, demosaic="bilinear")
+    simulator = gs.Simulator(replace(camera, sensor=sensor, processor=processor), device=device)
+    if (stacked, device) not in LIGHT:
+        plan = simulator.plan(gs.chart("deadleaves", size=(83, 59)))
+        LIGHT[stacked, device] = simulator.imaging.exposed(plan, simulator.imaging.rates(plan), 1.0)
+    return simulator, LIGHT[stacked, device]
+
+
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("stacked", [False, True])
 @pytest.mark.parametrize("automatic", [
@@ -151,14 +167,8 @@ def test_the_percentile_is_that_of_numpy(percentile):
     AutoExposure("mean", 0.2), AutoExposure("centre", 0.3)], ids=lambda made: f"{made.method}-{made.percentile:g}")
 def test_the_exposure_is_that_of_the_downloaded_frame(automatic, stacked, device):
     """The order statistics' bit for bit; means within what float32 sums lose."""
-    camera = gs.open_camera("phone")
-    sensor = replace(camera.sensor, exposure_time=None, auto_exposure=automatic, stacked=stacked,
-                     noise=replace(camera.sensor.noise, dark_current=7.7))
-    processor = replace(camera.processor, demosaic="bilinear")
-    simulator = gs.Simulator(replace(camera, sensor=sensor, processor=processor), device=device)
-    plan = simulator.plan(gs.chart("deadleaves", size=(83, 59)))
-    rates = simulator.imaging.exposed(plan, simulator.imaging.rates(plan), 1.0)
-    frame = np.array(simulator.device.numpy(rates)) + np.float32(7.7 * sensor.noise.warmth)
+    simulator, rates = exposed(automatic, stacked, device)
+    frame = np.array(simulator.device.numpy(rates)) + np.float32(7.7 * simulator.camera.sensor.noise.warmth)
     wanted = automatic.choose(frame, simulator.readout.output.saturation)
     found = metering.metered(simulator, rates)
     exact = automatic.method in ("full", "percentile")
