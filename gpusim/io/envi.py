@@ -66,11 +66,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
     dtype = header.dtype()
     kind = kind or header.kind()
     gains, offsets = header.gains(kind, planes)
-    if scale is None:
-        scale = header.scale(kind, dtype, gains is not None)
-        said = scale != 1 or gains is not None
-    else:
-        said = True
+    factor = header.scale(kind, dtype, gains is not None) if scale is None else scale
     interleave = header.text("interleave").lower()
     if interleave not in AXES:
         raise BadFile(path, f"interleave = {shown(interleave)}: wanted bsq, bil or bip")
@@ -92,10 +88,10 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        values, more = read_planes(data, _Chosen(view, order), scale=scale, ignored=header.ignored(dtype),
+        values, more = read_planes(data, _Chosen(view, order), scale=factor, ignored=header.ignored(dtype),
                                    gains=None if gains is None else gains[order],
                                    offsets=None if offsets is None else offsets[order])
-    if kind == "reflectance" and not said:
+    if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
     return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *more))
 

@@ -135,6 +135,16 @@ def test_the_command_line_takes_wavelengths(tmp_path, capsys):
     assert main(asked) == 2 and "--wavelengths" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.float32])
+def test_the_number_that_stands_for_1(tmp_path, kind):
+    planes = RANDOM.integers(0, 10000, (3, 7, 9)).astype(kind)
+    tifffile.imwrite(tmp_path / "a.tif", planes, photometric="minisblack")
+    scene = open_scene(tmp_path / "a.tif", wavelengths=(400, 500, 600), scale=1e4)
+    np.testing.assert_array_equal(scene.content.values, planes.astype(np.float32) / np.float32(1e4))
+    with refused("scale", "with wavelengths only", error=OutOfRange):
+        open_scene(tmp_path / "a.tif", scale=1e4)
+
+
 # ---- refusals
 
 
