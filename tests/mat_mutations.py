@@ -148,8 +148,10 @@ def version_7_3(data: bytes, random) -> bytes:
         else:  # a number of 8 bytes that is an address or a size
             at = 8 * int(random.integers(64, max(len(data) // 8, 65)))
         wide = pick(random, (1, 1, 2, 4, 8))
-        number = pick(random, (*WORDS, 2, 3, 4, 5, 6, 8, 9, 11, 12, 16, 17, 24, 512, *places,
-                               int(random.integers(len(data))), int(random.integers(10**6))))
+        number = pick(random, (*WORDS, 2, 3, 4, 5, 6, 8, 9, 11, 12, 16, 17, 24, 512, int(random.integers(len(data))),
+                               int(random.integers(10**6))))
+        if random.random() < 0.3:  # an address, counted from the user block on; of something else, or of itself
+            number, wide = max(pick(random, places) - 512, 0), 8
         if random.random() < 0.3 and at < len(data):
             number, wide = data[at] ^ (1 << int(random.integers(8))), 1
         data[at:at + wide] = (number % 256**wide).to_bytes(wide, "little")

@@ -1,7 +1,9 @@
 """MATLAB's files of version 7.3, which are HDF5: variables are data sets, structs are groups, axes are reversed."""
 
 import math
+import mmap
 import os
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -9,12 +11,13 @@ import numpy as np
 
 from gpusim.domain.errors import BadFile
 from gpusim.io.archive import LARGEST_RATIO
-from gpusim.io.files import reading
-from gpusim.io.mat import MOST_NAMES, WHAT, Value
+from gpusim.io.files import open_file, reading
+from gpusim.io.mat import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
 
 HIDDEN = "#"  # begins the names of what MATLAB keeps beside the variables
 CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
+MOST_AXES = 4  # of numbers
 FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
 
 
@@ -26,6 +29,8 @@ def open_hdf5(path) -> Iterator[Value]:
     except ImportError:
         raise BadFile(path, "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or the file "
                             "written by save('scene.mat', 'scene', '-v7')") from None
+    with open_file(path) as whole, reading(path, WHAT), mmap.mmap(whole.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        _check_ends(data)
     with reading(path, WHAT):
         file = h5py.File(path, "r", locking=False)
     try:
@@ -99,12 +104,51 @@ class _Item(Value):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")
 
 
+def _check_ends(data):
+    """Raise ValueError where the structures of a file lead back to themselves.
+
+    HDF5's library (2.0) follows the free blocks of a heap in a circle until memory ends, and nodes of a tree until its
+    stack does. All other circles that were tried it finds. Source: HDF5 File Format Specification 3.0, III.A, III.D.
+    """
+    base = 0 if data[:len(HDF5)] == HDF5 else USER_BLOCK
+    version = data[base + len(HDF5)]
+    at = base + (13 if version < 2 else 9)
+    if data[at:at + 2] != b"\x08\x08":
+        raise ValueError("addresses that are not of 8 bytes")
+    for at in _places(data, b"HEAP\0\0\0\0"):
+        size, block, start = struct.unpack_from("<QQQ", data, at + 8)
+        left = size // 16  # a block has 16 bytes at least
+        while block != 1 and block + 16 <= size and base + start + block + 16 <= len(data):
+            if not left:
+                raise ValueError("a heap whose free blocks are a circle")
+            left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
+    levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
+    for at, level in levels.items():
+        kind, entries = data[base + at + 4], struct.unpack_from("<H", data, base + at + 6)[0]
+        # keys are names in groups; sizes and places of pieces, of any number of axes, in data sets
+        for wide in (8,) if kind == 0 else range(24, 24 + 8 * MOST_AXES, 8):
+            first = base + at + 24 + wide
+            for child in range(first, min(first + entries * (wide + 8), len(data) - 7), wide + 8) if level else ():
+                if levels.get(struct.unpack_from("<Q", data, child)[0], -1) >= level:
+                    raise ValueError("a tree that holds itself")
+
+
+def _places(data, signature):
+    """Where a signature is."""
+    at = data.find(signature)
+    while at >= 0 and at + 32 <= len(data):
+        yield at
+        at = data.find(signature, at + 1)
+
+
 def _check(path, label, item, size):
     """Raise BadFile where the file does not hold what a data set declares."""
     import h5py
 
     made, stored, nbytes = item.id.get_create_plist(), item.id.get_storage_size(), item.size * item.dtype.itemsize
     layout = made.get_layout()
+    if len(item.shape) > MOST_AXES:
+        raise BadFile(path, f"{label}: {len(item.shape)} axes, wanted at most {MOST_AXES}")
     if layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or made.get_external_count():
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
     filters = [made.get_filter(number)[0] for number in range(made.get_nfilters())]

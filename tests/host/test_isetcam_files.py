@@ -1,7 +1,10 @@
 """ISETCam's scenes and optical images in MATLAB's files, written by SciPy, hdf5storage, h5py and MATLAB itself."""
 
 import math
+import re
+import struct
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -371,6 +374,27 @@ def test_numbers_outside_the_file_are_not_read(tmp_path):
         gs.open_scene(path)
 
 
+@pytest.mark.parametrize("part", ["heap", "tree of names", "tree of pieces"])
+def test_structures_of_hdf5_that_lead_back_to_themselves(tmp_path, part):
+    """HDF5 2.0 takes all memory of the first, and crashes on the others."""
+    path = tmp_path / "a.mat"
+    save73(path, {"scene": scene_of()})
+    data = bytearray(path.read_bytes())
+    if part == "heap":
+        for at in (match.start() for match in re.finditer(b"HEAP", data)):
+            _, block, start = struct.unpack_from("<QQQ", data, at + 8)
+            if block != 1:
+                struct.pack_into("<Q", data, 512 + start + block, block)
+    else:
+        kind = 0 if part == "tree of names" else 1
+        at = next(match.start() for match in re.finditer(b"TREE", data) if data[match.end()] == kind)
+        data[at + 5] = 1
+        struct.pack_into("<Q", data, at + 24 + (40 if kind else 8), at - 512)
+    path.write_bytes(data)
+    with refused("a.mat", "circle" if part == "heap" else "holds itself", error=BadFile):
+        gs.open_scene(path)
+
+
 @pytest.mark.parametrize("kind", [6, 9])
 def test_a_size_that_the_file_cannot_hold_is_refused_before_it_is_taken(tmp_path, kind):
     """Declared by a data set of which nothing is stored, and by a packed variable of version 5."""
@@ -380,8 +404,6 @@ def test_a_size_that_the_file_cannot_hold_is_refused_before_it_is_taken(tmp_path
         with h5py.File(path, "r+") as file:
             file.create_dataset("scene/data/photons", (31, 10**5, 10**5), "f8", chunks=(1, 100, 100), compression=1)
     else:
-        import struct
-        import zlib
         scipy.io.savemat(path, {"scene": 1.0})
         packed = zlib.compress(struct.pack("<II", 14, 2**31) + path.read_bytes()[136:] + bytes(999))
         path.write_bytes(path.read_bytes()[:128] + struct.pack("<II", 15, len(packed)) + packed)
