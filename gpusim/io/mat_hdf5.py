@@ -17,6 +17,7 @@ from gpusim.io.mat import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
 HIDDEN = "#"  # begins the names of what MATLAB keeps beside the variables
 CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
+LARGEST_HEAP = 2**20  # [byte] of a group's names
 MOST_AXES = 4  # of numbers
 FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: those that cannot make more than LARGEST_RATIO of what is stored
 
@@ -117,10 +118,10 @@ def _check_ends(data):
         raise ValueError("addresses that are not of 8 bytes")
     for at in _places(data, b"HEAP\0\0\0\0"):
         size, block, start = struct.unpack_from("<QQQ", data, at + 8)
-        left = size // 16  # a block has 16 bytes at least
+        left = min(size, LARGEST_HEAP) // 16  # a block has 16 bytes at least
         while block != 1 and block + 16 <= size and base + start + block + 16 <= len(data):
             if not left:
-                raise ValueError("a heap whose free blocks are a circle")
+                raise ValueError("a heap whose free blocks are a circle, or too many")
             left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
     levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
     for at, level in levels.items():
