@@ -62,7 +62,7 @@ class _Item(Value):
             return
         if not isinstance(item, h5py.Dataset):
             raise ValueError(f"{label} is neither a group nor a data set")
-        shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1]
+        shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1] or (1, 1)
         if of == "char":
             kind = "text"
         elif of == "cell":
@@ -99,7 +99,7 @@ class _Item(Value):
 
     def _array(self):
         array = self.item[()]
-        return np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False).T
+        return np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False).T.reshape(self.shape)
 
     def _text(self):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")

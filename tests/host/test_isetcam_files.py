@@ -351,6 +351,19 @@ def test_struct_arrays_of_one_element_are_structs(tmp_path):
             gs.open_scene(tmp_path / "a.mat")
 
 
+def test_numbers_of_hdf5_without_axes(tmp_path):
+    """As other programs than MATLAB write them."""
+    save73(tmp_path / "a.mat", {"scene": without(scene_of(), "wAngular")})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        file["scene/wAngular"] = 30.0
+    assert gs.open_scene(tmp_path / "a.mat").fov == math.radians(30)
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        del file["scene/spectrum/wave"]
+        file["scene/spectrum/wave"] = 500.0
+    with refused("a.mat", "at least 2 wavelengths", error=BadFile):
+        gs.open_scene(tmp_path / "a.mat")
+
+
 def test_a_missing_h5py_says_what_to_install(tmp_path, monkeypatch):
     save73(tmp_path / "a.mat", {"scene": scene_of()})
     monkeypatch.setitem(sys.modules, "h5py", None)
