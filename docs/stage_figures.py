@@ -26,6 +26,7 @@ SMOOTH = {  # ports that are no pictures: a blur's contrast, fall-off to the cor
     "ids": lambda value: (np.indices(value.shape) // 16 * [[[6]], [[1]]]).sum(0).astype(value.dtype),
 }
 TABLES = ("airy", "near", "pupil")
+MIXED = ("blur", "integrate")  # stages whose planes are mixed by random numbers in `bench`: no colours
 
 
 def draw(name, folder):
@@ -38,6 +39,8 @@ def draw(name, folder):
         return path
     inputs = module.bench(ROWS, COLS)
     inputs |= {key: pictured(key, value, inputs) for key, value in inputs.items() if is_picture(value)}
+    if leaf == "shade":  # gains that undo a fall-off
+        inputs["gains"] = 1 / SMOOTH["gains"](inputs["gains"])
     result = getattr(reference, leaf)(**inputs)
     result = result[0] if isinstance(result, tuple) else result
     shown = [(f"in: {key}", value) for key, value in inputs.items() if is_picture(value)][:2]
@@ -85,7 +88,7 @@ def pictured(key, value, inputs):
     else:
         planes = np.stack([colors[min(3 * number // count, 2)] for number in range(count)])
     if key in RAW:
-        scale = 1 / 959 if inputs.get("scale", 1 / 959) > 2e-4 else 1 / 65535
+        scale = inputs.get("scale", 1 / 959)
         random = np.random.default_rng(1)  # shot noise, and a few defects where a stage looks for them
         planes = random.poisson(planes * 300) / 300 / scale + float(np.max(inputs.get("black_level", 64)))
         return planes.reshape(value.shape).clip(0, 1 / scale + 64).astype(value.dtype)
@@ -99,7 +102,7 @@ def image(value, leaf):
         return value / max(value.max(), 1e-30)
     while value.ndim > 3:
         value = value[0]
-    if value.ndim == 3 and len(value) == 3 and leaf not in TABLES:
+    if value.ndim == 3 and len(value) == 3 and leaf not in TABLES + MIXED:
         value = np.moveaxis(value, 0, -1)
     elif value.ndim == 3:
         value = value[len(value) // 2]

@@ -25,13 +25,13 @@ from gpusim.measure import sfr
 # from 360 to 780 nm, so the tables reach as far.
 
 spacing, wavelengths, heights = 0.3, (360.0, 550.0, 780.0), (0.0, 0.5, 1.0)  # [µm], [nm], 1: the frame's corner
-y, x = (np.mgrid[:81, :81] - 40) * spacing  # [µm]; the corner lies towards +x
+y, x = (np.mgrid[:61, :61] - 30) * spacing  # [µm]; the corner lies towards +x
 
 
 def spot(wavelength, height):
     """A core of 1 µm, and a tail: cores ever wider and farther out."""
     width = 1.0 * (wavelength / 550) ** 0.5
-    return sum(np.exp(-((x - 5 * height * part**2) ** 2 + y**2) / (2 * (width * (1 + height * part)) ** 2))
+    return sum(np.exp(-((x - 4 * height * part**2) ** 2 + y**2) / (2 * (width * (1 + height * part)) ** 2))
                / (1 + height * part) ** 3 for part in np.linspace(0, 1, 12))
 
 

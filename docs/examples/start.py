@@ -33,7 +33,7 @@ shown = axes[0].imshow(frame.mean, cmap="viridis")
 figure.colorbar(shown, ax=axes[0], label="e⁻", shrink=0.6)
 axes[0].set_title("electrons, without noise")
 gs.plot.raw(frame, axes[1])  # each pixel in its filter's colour
-axes[1].set(title="digital numbers, a part", xlim=(150, 215), ylim=(120, 78))
+axes[1].set(title="digital numbers, a part", xlim=(60, 123), ylim=(226, 184))
 axes[2].imshow(frame.rgb)
 axes[2].set_title("the picture")
 for axis in axes:
