@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gpusim.data.lights import illuminant, white_radiance
+from gpusim.data.lights import light_of, white_radiance
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Materials
 from gpusim.domain.errors import OutOfRange, UnknownName
@@ -45,8 +45,8 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
     ids, shading, materials, border = draw(cols, rows, **fine, **options)
     wavelengths = WAVELENGTHS if wavelengths is None else np.asarray(wavelengths, np.float64)
     content = Materials(wavelengths, ids, shading, materials.at(wavelengths, outside=None))
-    light = illuminant(light) if isinstance(light, str) else light
-    return Scene(content, white_radiance(light, luminance), border, name=name, samples_per_pixel=samples_per_pixel)
+    white = white_radiance(light_of(light), luminance)
+    return Scene(content, white, border, name=name, samples_per_pixel=samples_per_pixel)
 
 
 def colorchecker_patches(size) -> list[tuple[slice, slice]]:

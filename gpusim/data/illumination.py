@@ -5,7 +5,7 @@ from functools import reduce
 
 import numpy as np
 
-from gpusim.data.lights import illuminant, white_radiance
+from gpusim.data.lights import light_of, white_radiance
 from gpusim.domain.content import is_seen
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import described
@@ -41,7 +41,7 @@ def illuminated(scene: Scene, lights: dict) -> Scene:
         raise BadData(f"lights: {type(lights).__name__}, wanted {{light: map}} of at least one light")
     maps = np.stack([_map(label, values, scene) for label, values in lights.items()])
     # luminance 1 each, so that the maps have their unit
-    units = [white_radiance(illuminant(light) if isinstance(light, str) else _checked(light), 1.0) for light in lights]
+    units = [white_radiance(light_of(light), 1.0) for light in lights]
     surfaces = surfaces_of(scene.content)
     together = _total(units, maps.mean(axis=(1, 2), dtype=np.float64))
     wavelengths, spectra = _spectra(surfaces.wavelengths, units, together)
@@ -64,12 +64,6 @@ def _map(label, values, scene):
     if is_seen(values) and not (np.isfinite(values).all() and values.min() >= 0):
         raise BadData(f"{name}: from {values.min():.3g} to {values.max():.3g}, wanted finite luminance, not negative")
     return np.broadcast_to(values, scene.content.shape)
-
-
-def _checked(light):
-    if not isinstance(light, Spectrum) or light.values.ndim != 1:
-        raise BadData(f"light of {type(light).__name__}: wanted a name, or a Spectrum of one function")
-    return light
 
 
 def _total(units, means):

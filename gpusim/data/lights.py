@@ -6,7 +6,7 @@ from numbers import Real
 import numpy as np
 
 from gpusim.data.colorimetry import tables, xyz
-from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import BOLTZMANN, LIGHT_SPEED, PLANCK, Spectrum, photons_from_energy
 
 BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
@@ -30,6 +30,15 @@ def illuminant(name: str, wavelengths=None) -> Spectrum:
         return blackbody(float(match[2]), np.arange(300.0, 1101.0) if wavelengths is None else wavelengths)
     light = daylight(float(match[2])) if match else _cie_illuminant(name)
     return light if wavelengths is None else Spectrum(wavelengths, light.at(wavelengths), light.name)
+
+
+def light_of(light: str | Spectrum) -> Spectrum:
+    """Relative power [W nm-1, up to a factor] by an illuminant's name, or as given. Raises UnknownName, BadData."""
+    if isinstance(light, str):
+        return illuminant(light)
+    if not isinstance(light, Spectrum) or light.values.ndim != 1:
+        raise BadData(f"light of {type(light).__name__}: wanted a name, or a Spectrum of one function")
+    return light
 
 
 def illuminant_names() -> list[str]:

@@ -1,12 +1,13 @@
 """Signal to noise of an evenly lit patch, as numbers and as the eye sees it, and of a sensor at every exposure."""
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from gpusim.data.colorimetry import xyz
-from gpusim.data.lights import illuminant
+from gpusim.data.lights import light_of
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import Sensor
@@ -45,9 +46,9 @@ def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float =
     Source: EMVA Standard 1288, SNR = mu / sigma of `gpusim.domain.raw_noise.RawNoise`; electrons are those of the
     sensor's quantum efficiency over its aperture. Raises UnknownName, OutOfRange, BadData.
     """
-    if not 0 <= seconds < np.inf:
+    if not (isinstance(seconds, Real) and 0 <= seconds < np.inf):
         raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
-    light = illuminant(light) if isinstance(light, str) else light
+    light = light_of(light)
     per_exposure = electrons_per_lux_second(sensor, light)
     if not per_exposure.any():
         raise BadData(f"snr_curve: the sensor sees nothing of {light.name or 'the light'}")

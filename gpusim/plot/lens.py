@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.data.lights import illuminant
+from gpusim.data.lights import light_of
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.lens import open_lens, spread_radius
 from gpusim.optics.response import lens_response, spread_at
@@ -44,7 +44,7 @@ def mtf(camera: Camera, of=None, ax=None, *, direction: str = "across", place=(0
     label: what the legend names it by, where several cameras are drawn on one `ax`.
     Returns the axes. Raises BadData, Missing, OutOfRange, UnknownName.
     """
-    of = _asked(checked_camera(camera), of)
+    of, place = _asked(checked_camera(camera), of), _field(place)
     if direction not in ("across", "down"):
         raise UnknownName("direction", direction, ("across", "down"))
     sensor, optics = camera.sensor, camera.optics
@@ -79,8 +79,8 @@ def psf(camera: Camera, of=None, ax=None, *, place=(0.0, 0.0), light="D65", figu
     or on a new one. Returns the axes or the figure. Raises BadData (no lens, `optics.model = "none"`), Missing,
     OutOfRange, UnknownName.
     """
-    several = of is None or isinstance(of, (list, tuple))
-    of = _asked(checked_camera(camera), of)
+    several = of is None or isinstance(of, (list, tuple, np.ndarray))
+    of, place = _asked(checked_camera(camera), of), _field(place)
     if camera.optics.model == "none":
         raise BadData(f'psf: {camera.name} has optics.model = "none", no lens that blurs; wanted another')
     if several and ax is not None:
@@ -163,12 +163,23 @@ def _asked(camera, of):
     return found
 
 
+def _field(place):
+    """A field point, checked."""
+    try:
+        y, x = (float(one) for one in place)
+    except (TypeError, ValueError):
+        raise BadData(f"place = {shown(place)}: wanted a field point (y, x), 1 the frame's corner") from None
+    if not np.hypot(y, x) <= 1 + 1e-9:
+        raise OutOfRange("place", (y, x), "up to 1, the frame's corner, from the axis")
+    return y, x
+
+
 def _light_of(camera, one, light):
     """Wavelengths [nm] of a channel's light on the sensor, and their shares; of a wavelength, itself."""
     if not isinstance(one, str):
         return np.array([float(one)]), np.ones(1)
     sensor, spread = camera.sensor, camera.optics.psf
-    light = photons_from_energy(illuminant(light) if isinstance(light, str) else light)
+    light = photons_from_energy(light_of(light))
     low = max(sensor.qe.wavelengths[0], light.wavelengths[0], 0 if spread is None else spread.wavelengths[0])
     high = min(sensor.qe.wavelengths[-1], light.wavelengths[-1], np.inf if spread is None else spread.wavelengths[-1])
     if not low < high:

@@ -23,6 +23,7 @@ from gpusim.planner.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 from gpusim.truth import viewed
 
+UNSEEN = (0.4, 0.4, 0.4)
 BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
 QUANTITIES = {"radiance": "[W m⁻² sr⁻¹ nm⁻¹]", "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]", "reflectance": "[1]"}
 
@@ -89,9 +90,7 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
     """
     window, every = _window(scene, place), np.eye(len(scene.wavelengths))
     content = sample_sums(scene, every, window).mean(axis=(1, 2))
-    weights, white = _eye(scene)
-    xyz = weights @ content
-    color = readable(srgb(0.4 / (xyz[1] or 1.0) * xyz[:, None, None], white)[0, 0])
+    color = _color(scene, content)
     wavelengths, light = scene.wavelengths, scene.illuminant
     if quantity == "reflectance":
         values = scene.content.on_host().surfaces.weighted(every, window).mean(axis=(1, 2))
@@ -106,6 +105,16 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
         if quantity == "radiance":
             values = values * energy_per_photon(wavelengths)
     return wavelengths, values, color
+
+
+def _color(scene, content):
+    """What one spectrum looks like, for its line; grey where nothing of it can be seen."""
+    try:
+        weights, white = _eye(scene)
+    except BadData:
+        return UNSEEN
+    xyz = weights @ content
+    return readable(srgb(0.4 / xyz[1] * xyz[:, None, None], white)[0, 0]) if xyz[1] > 0 else UNSEEN
 
 
 def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:

@@ -1,12 +1,13 @@
 """What a sensor makes of light: its raw mosaic, its noise, and its signal over its noise."""
 
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.measure.mosaic import colored
@@ -25,11 +26,11 @@ LOWEST = -10.0  # SNR that is drawn [dB]
 def raw(frame, ax=None, *, gamma: float = RAW_GAMMA) -> Any:
     """A frame's raw mosaic, each pixel in its filter's colour: black at the black level, full at the white level.
 
-    gamma: (signal / white)^(1 / gamma) is shown. Returns the axes. Raises BadData, Missing.
+    gamma: (signal / white)^(1 / gamma) is shown. Returns the axes. Raises BadData, Missing, OutOfRange.
     """
     _require_frame(frame, "raw")
-    if not 0 < gamma < np.inf:
-        raise BadData(f"raw: gamma = {gamma}, wanted a number above 0")
+    if not (isinstance(gamma, Real) and 0 < gamma < np.inf):
+        raise OutOfRange("gamma", gamma, "0 < gamma < inf")
     sensor = frame.camera.sensor
     codes = raw_codes(frame.raw, sensor, gamma)
     rows, cols = codes.shape[:2]

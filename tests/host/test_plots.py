@@ -235,6 +235,15 @@ def test_spectra_of_regions_are_their_means():
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["(2, 1)", "(3, 2, 7, 6)"]
 
 
+def test_spectra_beyond_what_is_seen_are_drawn_in_grey(ax):
+    scene = gs.scene_from(np.full((2, 4, 4), 0.5), [900.0, 950.0], light="E")
+    with pytest.raises(BadData, match="no overlap"):
+        gs.plot.scene(scene)
+    gs.plot.spectra(scene, (1, 1), ax, quantity="reflectance")
+    (line,) = ax.get_lines()
+    assert line.get_ydata() == pytest.approx(0.5) and len({*line.get_color()}) == 1
+
+
 def test_a_click_draws_the_spectrum_of_the_pixel():
     from matplotlib.backend_bases import MouseEvent
 
@@ -367,6 +376,11 @@ def test_picture_and_efficiency_are_the_camera_s(checker):
     (lambda: gs.plot.mtf(PHONE, []), BadData, "nothing to draw"),
     (lambda: gs.plot.mtf(PHONE, direction="up"), UnknownName, "unknown direction 'up'"),
     (lambda: gs.plot.mtf(PHONE, light="D66"), UnknownName, "unknown light 'D66'"),
+    (lambda: gs.plot.mtf(PHONE, light=3), BadData, "light of int: wanted a name"),
+    (lambda: gs.plot.mtf(PHONE, place=3), BadData, r"place = 3: wanted a field point \(y, x\)"),
+    (lambda: gs.plot.psf(PHONE, 550, place=(1, 1)), OutOfRange, r"place = \(1.0, 1.0\): allowed is up to 1"),
+    (lambda: gs.plot.snr(PHONE, light=PHONE.sensor.qe), BadData, "light of Spectrum: wanted a name"),
+    (lambda: gs.plot.snr(PHONE, seconds="1"), OutOfRange, "seconds = 1 s: allowed is 0 <= seconds"),
     (lambda: gs.plot.mtf(PHONE, 550, 3), BadData, "ax: int, wanted axes of matplotlib"),
     (lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))), BadData, "no lens that blurs"),
     (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
