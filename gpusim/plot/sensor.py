@@ -57,6 +57,8 @@ def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = 
         raise BadData(f"snr: {type(camera).__name__}, wanted a Camera or a Sensor")
     sensor = camera.sensor if isinstance(camera, Camera) else camera
     found = snr_curve(sensor, light, seconds=seconds, temporal=temporal)
+    if np.isposinf(found.snr).any():
+        raise BadData("snr: the sensor has no noise, so its ratio is infinite; wanted some, if only of photons")
     ax = axes_of(ax)
     left, lowest = ax.get_xlim()[0] if ax.get_lines() else np.inf, max(LOWEST, float(np.nanmin(found.snr)))
     most = int(found.electrons[:, -1].argmax())

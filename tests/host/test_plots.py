@@ -384,6 +384,7 @@ def test_picture_and_efficiency_are_the_camera_s(checker):
     (lambda: gs.plot.mtf(PHONE, 550, 3), BadData, "ax: int, wanted axes of matplotlib"),
     (lambda: gs.plot.psf(PHONE.with_(optics=replace(PHONE.optics, model="none"))), BadData, "no lens that blurs"),
     (lambda: gs.plot.psf(PHONE, figure=3), BadData, "figure: int, wanted a figure"),
+    (lambda: gs.plot.snr(PHONE.with_(photon="none", read_e=0, prnu=0, dsnu_e=0, bits=32)), BadData, "has no noise"),
     (lambda: gs.plot.snr("phone"), BadData, "snr: str, wanted a Camera or a Sensor"),
     (lambda: gs.plot.snr(PHONE, seconds=-1), OutOfRange, "seconds = -1 s"),
     (lambda: gs.plot.raw(PHONE), BadData, "raw: Camera, wanted a frame"),
