@@ -69,6 +69,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "min_reported_time": 30,  # [s] an example that takes longer is named: none should
     "within_subsection_order": InTurn,
+    "capture_repr": (),  # what is printed, not the last line's value
     "matplotlib_animations": False,
     "reset_modules": ("matplotlib", whole_figures),
     "plot_gallery": "True",
