@@ -21,7 +21,7 @@ class Tape:
     `replay` starts the noted kernels alone, without the computation's own host code. It is for inputs in the same
     memory, and numbers that are the same; `is_replayable` says whether nothing else happened on the host.
     reads: stages in which the host read values of the device. host_work: those that worked on the host, as they say.
-    commands: the noted kernels and copies, in order.
+    commands: the noted kernels and copies, in order. viewed: arrays of which another form was asked for.
     writes_anew: whether arrays are new each time, for results that are kept; then there is nothing to replay.
     """
 
@@ -30,13 +30,14 @@ class Tape:
         self._requests: list = []
         self._at = 0
         self.commands: list = []
+        self.viewed: list = []
         self.reads: list[str] = []
         self.host_work: list[str] = []
 
     def begin(self):
         """The computation is made (again) from here on."""
         self._at = 0
-        self.commands, self.reads, self.host_work = [], [], []
+        self.commands, self.viewed, self.reads, self.host_work = [], [], [], []
 
     def again(self, request, make):
         """What `make()` gave for the request in this place, or gives now."""
@@ -63,9 +64,14 @@ class Tape:
         command.start()
 
     def replaced(self, others) -> bool:
-        """Give the noted kernels other arrays, pairs (old, new); False, and nothing is done, unless all are found."""
+        """Give the noted kernels other arrays, pairs (old, new); False, and nothing is done, unless all are found.
+
+        Kernels that read an array in another form have that form among their arguments, and not the array itself.
+        """
         news = {id(old): new for old, new in others}
         if any(news[id(old)] is not new for old, new in others):  # two for one
+            return False
+        if any(id(array) in news for array in self.viewed):
             return False
         used = {id(arg) for command in self.commands for arg in command.args}
         if not news.keys() <= used:
@@ -162,6 +168,7 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
+        tape.viewed.append(array)
         return tape.again(("reshape", self._place(array), tuple(shape)), lambda: self._reshape(array, shape))
 
     @refusable(of_values)

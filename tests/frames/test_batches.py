@@ -89,12 +89,13 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
             batch(what, exposure_time=seconds, seed=seed)
         return {*ms}
 
-    anew, blur = replace(scenes[0], name="again"), "optics.mosaic" if simulator.device.is_gpu else "optics.tiles"
-    assert {"spectral.integrate", blur, "sensor.noise"} <= stages(anew, seed=9)
+    anew, blurs = replace(scenes[0], name="again"), {"optics.mosaic", "optics.tiles"}  # by what devices are fast at
+    made = stages(anew, seed=9)
+    assert {"spectral.integrate", "sensor.noise"} <= made and len(blurs & made) == 1
     assert stages(anew, seed=9) == set()
     drawn = stages(anew, seed=10)
     assert "sensor.noise" in drawn
-    assert not {"spectral.integrate", blur, "sensor.collect", "sensor.chip"} & drawn
+    assert not {"spectral.integrate", *blurs, "sensor.collect", "sensor.chip"} & drawn
     is_gpu = simulator.device.is_gpu
     for kept in (batch._kept, *(program.kept for program in batch._items), batch._items[0].before.kept):
         assert undeclared(kept.on_host(), is_gpu) == []

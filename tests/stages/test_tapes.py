@@ -119,6 +119,25 @@ def test_copies_read_what_takes_an_arrays_place(device):
     assert (again != expected).any()
 
 
+def test_no_other_array_takes_the_place_of_one_that_is_read_in_two_forms(device):
+    """Kernels of its other form would go on reading what it was: the far field's of planes that tiles read, too."""
+    tape, table, first, second = Tape(), RANDOM.random((3, 5), np.float32), cube(device), cube(device)
+    planes, rows, cols = first.shape
+
+    def made(content):
+        with noted(tape):
+            own = integrate(content, device.array(table), device=device)
+            turned = integrate(device.reshape(content, (planes, cols, rows)), device.array(table), device=device)
+            return device.stack([device.reshape(own, turned.shape), turned])
+
+    for _ in range(2):
+        made(first)
+    assert tape.is_replayable and not tape.replaced([(first, second)])
+    tape.replay()
+    again = made(first)
+    np.testing.assert_array_equal(values(device, again)[0].ravel(), values(device, again)[1].ravel())
+
+
 def overwrite(device, target, source):
     """Copy an array's values to another, by the verbs that devices have."""
     size = int(np.prod(target.shape))
