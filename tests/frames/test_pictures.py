@@ -99,7 +99,8 @@ def test_a_video_is_decoded_by_the_device_alone(device, kind, monkeypatch):
     monkeypatch.setattr(Facts, "of", lambda scene: calls.append("facts") or facts(scene))
     for number, codes in enumerate(simulator.stream(scenes, seed=3)):
         np.testing.assert_array_equal(np.array(simulator.device.numpy(codes)), wanted[number])
-    assert sorted(calls) == ["decoded", "facts"]
+    # a stream puts codes into a GPU's memory, which then looks at them itself
+    assert sorted(calls) == ([] if simulator.device.is_gpu else ["decoded", "facts"])
     assert len({codes.tobytes() for codes in wanted}) == 5
 
 
