@@ -17,6 +17,7 @@ from skimage import data
 import gpusim as gs
 from gpusim.cli import main as gpusim
 from gpusim.measure.ideal import ideal
+from gpusim.measure.mosaic import colored
 from gpusim.truth import seen
 
 HERE = Path(__file__).parent / "pictures"
@@ -62,12 +63,7 @@ def mosaic(frame, zoom):
     sensor = frame.camera.sensor
     level = np.clip((frame.raw.astype(float) - sensor.black_level) / (sensor.white_level - sensor.black_level), 0, 1)
     level = (level / np.quantile(level, 0.995)).clip(0, 1) ** (1 / 2.2)
-    rows, cols = level.shape
-    y, x = np.indices(level.shape)
-    channel = sensor.cfa_indices[y % len(sensor.cfa), x % len(sensor.cfa[0])]
-    colors = np.zeros((rows, cols, 3))
-    np.put_along_axis(colors, channel[..., None], level[..., None], axis=2)
-    return (255 * colors.repeat(zoom, 0).repeat(zoom, 1)).astype(np.uint8)
+    return colored(sensor, (255 * level).astype(np.uint8)).repeat(zoom, 0).repeat(zoom, 1)
 
 
 def wide(scene):

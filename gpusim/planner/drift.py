@@ -116,7 +116,7 @@ class Watch:
 
         Of a row b of B it is b M' b^T / |b|^4: what M' makes of the direction of b, over what M does, |b|^2.
         """
-        size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-300)
+        size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
         return tuple(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments)
 
     def wanting(self, survey, limit: float) -> int:

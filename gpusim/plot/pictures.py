@@ -38,9 +38,10 @@ def sfr(what, ax=None, *, seed: int = 0, device="auto", label: str = "") -> Any:
     """Spatial frequency response by a slanted edge (ISO 12233), MTF50 of each channel marked.
 
     what: a Camera, which is shown the chart "slanted-edge", exposed automatically, and of 16 frames of it the mean is
-    measured; a frame of one such edge; or an EdgeResponse of `gpusim.measure.sfr`. seed, device: by which a camera
-    takes them. label: what the legend names it by, where several are drawn on one `ax`. Returns the axes. Raises
-    BadData, Missing.
+    measured; a frame of one such edge; or an EdgeResponse of `gpusim.measure.sfr`. Frequencies of a camera are in
+    cycle/mm, unless its pixels are binned to oblongs; a frame does not tell how it was binned: its own are in
+    cycle/pixel. seed, device: by which a camera takes them. label: what the legend names it by, where several are
+    drawn on one `ax`. Returns the axes. Raises BadData, Missing.
     """
     found, letters, camera, pitch = _response(what, seed, device)
     ax, responses = axes_of(ax), np.atleast_2d(found.response)
@@ -126,9 +127,12 @@ def _response(what, seed, device):
         letters = "RGB" if np.shape(what.response)[:-1] == (3,) else range(len(np.atleast_2d(what.response)))
         pitch = None if what.per_mm is None else float(what.frequencies[1] / what.per_mm[1] * 1e-3)
         return what, ["" if len(letters) == 1 else str(one) for one in letters], "", pitch
+    pitch = None
     if isinstance(what, Camera):
         from gpusim.simulator import Simulator
 
+        height, width = what.sensor.binning
+        pitch = what.sensor.pixel_pitch * height if height == width else None
         camera = replace(what, sensor=replace(what.sensor, exposure_time=None))
         edge = chart("slanted-edge", size=EDGE, samples_per_pixel=FINE)
         frames = list(Simulator(camera, device=device).frames(edge, FRAMES, seed=seed))
@@ -139,7 +143,7 @@ def _response(what, seed, device):
     sensor = frames[0].camera.sensor
     linear = np.mean([frame.linear for frame in frames], axis=0)
     linear, letters = (linear[..., 0], sensor.channels) if sensor.is_monochrome else (linear, "RGB")
-    return measured(linear, pitch=sensor.pixel_pitch), letters, frames[0].camera.name, sensor.pixel_pitch
+    return measured(linear, pitch=pitch), letters, frames[0].camera.name, pitch
 
 
 def _is_frame(what):

@@ -12,7 +12,7 @@ from gpusim.io.frames import BITS
 
 
 def openimageio(path, kind):
-    OpenImageIO = pytest.importorskip("OpenImageIO")
+    OpenImageIO = pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio")
     file = OpenImageIO.ImageInput.open(str(path))
     try:
         return file.read_image(kind)

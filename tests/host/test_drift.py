@@ -263,3 +263,12 @@ def test_darkness_and_nan(response):
 def test_row_pairs_are_spread_over_the_frame(shape, wanted):
     """All pairs of a small frame; else 2^15 pixels of upper rows, at least 8 pairs, the last two rows among them."""
     assert row_pairs(*shape).tolist() == list(wanted)
+
+
+def test_what_is_not_wrong_does_not_fall(response):
+    """A row of no error: more planes make nothing of nothing."""
+    table, transfers = next(operators(response))
+    watch = Watch.of(response, table, transfers, natural((96, 64)).content, (96, 64))
+    exact = replace(watch, wrong=np.zeros_like(watch.wrong))
+    with np.errstate(all="raise"):
+        assert not np.any(exact.falling([np.eye(watch.wrong.shape[1])]))

@@ -60,7 +60,7 @@ def test_spectral_pythons_files(tmp_path, interleave, code, order):
 
 def test_spectral_pythons_library_is_a_scene_of_patches(tmp_path):
     envi = pytest.importorskip("spectral.io.envi", reason="Spectral Python is not installed: pip install spectral")
-    spectral = pytest.importorskip("spectral")
+    spectral = pytest.importorskip("spectral", reason="Spectral Python is not installed: pip install spectral")
     spectra = RANDOM.random((5, 4)).astype(np.float32)
     library = envi.SpectralLibrary(spectra, {"wavelength": WAVES[::-1], "spectra names": list("abcde")})
     library.bands = spectral.BandInfo()

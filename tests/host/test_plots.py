@@ -205,6 +205,21 @@ def test_sfr_of_a_camera_has_all_channels(monkeypatch):
     frame = gs.Simulator(PHONE, device="numpy")(gs.chart("slanted-edge", size=(120, 100)))
     assert [text.get_text()[:8] for text in gs.plot.sfr(frame).get_legend().get_texts()] == [
         "R: MTF50", "G: MTF50", "B: MTF50"]
+    assert gs.plot.sfr(frame).get_legend().get_texts()[0].get_text().endswith(" cycle/pixel")
+
+
+def test_sfr_of_binned_pixels_is_by_their_own_pitch(monkeypatch):
+    """Nyquist's frequency is half a cycle of theirs; oblongs have no one pitch."""
+    monkeypatch.setattr("gpusim.plot.pictures.EDGE", (160, 120))
+    monkeypatch.setattr("gpusim.plot.pictures.FRAMES", 1)
+    camera = gs.open_camera("mono")
+    for binning, nyquist, unit in (((2, 2), 0.5 / (2e3 * camera.sensor.pixel_pitch), "cycle/mm"),
+                                   ((1, 2), 0.5, "cycle/pixel")):
+        axes = gs.plot.sfr(camera.with_(binning=binning), device="numpy")
+        assert any(line.get_xdata()[0] == pytest.approx(nyquist) for line in axes.get_lines())
+        assert axes.get_legend().get_texts()[0].get_text().endswith(unit)
+        # `sfr` tells frequencies up to 1 cycle/pixel
+        assert axes.get_lines()[0].get_xdata()[-1] == pytest.approx(2 * nyquist, rel=0.01)
 
 
 def test_spectra_are_those_of_the_patch(ax):
