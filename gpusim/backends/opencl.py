@@ -329,7 +329,7 @@ def stage_source(stage: str) -> tuple[str, Path]:
     """Text of `kernels/<area>/<stage>.cl`, and the folder of the files it includes."""
     import gpusim.kernels
 
-    root = Path(gpusim.kernels.__file__).parent
+    root = Path(gpusim.kernels.__path__[0])
     path = root.joinpath(*stage.split(".")).with_suffix(".cl")
     if not path.exists():
         raise DeviceError(f"{stage}: no OpenCL kernel; add kernels/{path.relative_to(root)}")

@@ -8,7 +8,7 @@ import pytest
 
 import gpusim.kernels
 
-ROOT = Path(gpusim.kernels.__file__).parent
+ROOT = Path(gpusim.kernels.__path__[0])
 # names that Python or Warp's module keeps for something else
 RENAMED = {("common/copy", "copy"): {"in": "data"}, ("optics/sample", "rows"): {"rows": "height"},
            ("processor/flash", "flash"): {"flash": "flash_"}}
