@@ -300,7 +300,8 @@ def in_process(module: str, settings: dict, environment: dict | None = None) -> 
     command = [sys.executable, "-c", f"import {module}, json, sys; "
                f"print(json.dumps({module}.one(**json.loads(sys.argv[1]))))", json.dumps(settings)]
     ended = subprocess.run(command, cwd=HERE, capture_output=True, text=True,
-                           env={**os.environ, **(environment or {}), "PYTHONPATH": str(HERE)})
+                           env={**os.environ, **(environment or {}), "PYTHONPATH": os.pathsep.join(
+                               filter(None, [str(HERE), os.environ.get("PYTHONPATH")]))})
     if ended.returncode == 0:
         return json.loads(ended.stdout.splitlines()[-1])
     last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]

@@ -1,50 +1,164 @@
-"""Folders in which drivers keep compiled kernels: what is corrupt goes; one is lent where none can be written.
+"""Folders in which drivers keep compiled kernels: what is damaged goes; another is lent if one has no room.
 
-Drivers trust what they find there: PoCL aborts at a file that was cut off, Warp raises.
+Drivers trust what they find there. PoCL aborts at a file that was cut off and runs code with a flipped bit, Warp raises
+or crashes. So the files of each program are noted with their checksums, and compared before they are loaded.
 """
 
 import atexit
+import hashlib
+import json
+import logging
 import os
 import shutil
 import struct
 import tempfile
+import weakref
+from contextlib import suppress
 from pathlib import Path
 
+from gpusim.domain.errors import DeviceError
+
 ELF_TABLE = slice(40, 48), slice(58, 62)  # of the header: where the section table begins; its entries' size and count
+ROOM = 2**25  # [byte] that must be free: what is compiled for a few cameras takes half of it
+LARGEST = 2**21  # [byte] that one file must be able to take, by a quota or a limit
+SUMS = "gpusim-sums.json"  # beside the files of a program
+CHANGING = SUMS, "last_accessed"  # beginnings of names of what is written without being built
+log = logging.getLogger(__name__)
 
 
 def lent_folder() -> Path:
-    """An empty folder that goes with the process."""
-    folder = tempfile.mkdtemp(prefix="gpusim-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    """An empty folder that goes with the process. Raises DeviceError if no folder for temporary files has room."""
+    places = ["/dev/shm", "/var/tmp"]
+    with suppress(OSError):  # it tries to write
+        places.insert(0, tempfile.gettempdir())
+    for place in filter(os.path.isdir, places):
+        with suppress(OSError):
+            folder = Path(tempfile.mkdtemp(prefix="gpusim-", dir=place))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            if has_room(folder):
+                return folder
+    raise DeviceError(f"no room for compiled kernels: wanted {ROOM >> 20} MiB in the user's cache folder or in one of "
+                      f"{', '.join(places)}; free some, or set TMPDIR")
 
 
-def is_writable(folder: Path) -> bool:
-    """Whether files can be made in the folder; it is made if it is not there."""
+def has_room(folder: Path) -> bool:
+    """Whether files can be made in the folder and have room; it is made if it is not there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(LARGEST))  # within quotas and limits
+        return shutil.disk_usage(folder).free >= ROOM
     except OSError:
         return False
-    return True
 
 
 def prepare_opencl():
-    """Make caches usable, before pyopencl and PoCL are loaded: PoCL's programs with a damaged file are built anew."""
-    try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:  # nobody's home: the system's folder for temporary files serves
+    """Make PoCL's cache usable, before it is loaded: programs with a damaged file are removed, and built again."""
+    folder = pocl_folder()
+    if folder is None:  # nobody's home: PoCL takes the system's folder for temporary files
         return
-    if not is_writable(home / "pytools"):
-        os.environ["PYOPENCL_NO_CACHE"] = "1"
-    folder = Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl" / "kcache")
-    if not is_writable(folder):
+    strays = [path for path in folder.glob("??") if not path.is_dir()]  # in the place of a folder of programs
+    if not has_room(folder) or not keep_sound([*strays, *folder.glob("*/*")]):
         os.environ["POCL_CACHE_DIR"] = str(lent_folder())
         return
-    for program in folder.glob("*/*/program.bc"):
-        if not (_is_whole_bitcode(program) and all(map(_is_whole_elf, program.parent.glob("*/*/*.so")))):
-            shutil.rmtree(program.parent, ignore_errors=True)
+    weakref.finalize(log, lambda: [note(program) for program in folder.glob("*/*")])  # after the devices' own ends
+
+
+def pocl_folder() -> Path | None:
+    """Where PoCL keeps what it compiled."""
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:
+        return None
+    return Path(os.environ.get("POCL_CACHE_DIR") or home / "pocl" / "kcache")
+
+
+def keep_sound(programs) -> bool:
+    """Remove damaged programs, folders of files, with a line in the log; False if one could not be removed."""
+    damaged = [program for program in programs if not (program.name.startswith("tempfile") or is_sound(program))]
+    for program in damaged:
+        remove(program)
+    if damaged:
+        log.warning("gpusim: %d compiled program%s in %s %s damaged, and built again", len(damaged),
+                    "s" if len(damaged) > 1 else "", damaged[0].parent, "were" if len(damaged) > 1 else "was")
+    return not any(os.path.lexists(program) for program in damaged)
+
+
+def remove(program: Path):
+    """Remove what is kept of a program, whatever stands in its place, as far as that is allowed."""
+    shutil.rmtree(program, ignore_errors=True)
+    with suppress(OSError):
+        program.unlink()
+
+
+def is_sound(program: Path) -> bool:
+    """Whether a program's files are what was noted of them, and those that were not noted are whole.
+
+    A file with the noted size and times is not read: 0.1 ms a program in place of 1.
+    """
+    try:
+        noted, found = _read(program), _files(program)
+        for name, (state, checksum) in noted.items():
+            if found[name] != state and _checksum(program / name) != checksum:
+                return False
+        return all(_is_whole(program / name) for name in found.keys() - noted.keys())
+    except (OSError, KeyError, TypeError, ValueError, RecursionError):
+        return False
+
+
+def note(program: Path):
+    """Note the checksums of a program's files, if that can be done."""
+    with suppress(OSError, KeyError, TypeError, ValueError, RecursionError):
+        noted, found = _read(program), _files(program)
+        if not found or {name: state for name, (state, _) in noted.items()} == found:
+            return
+        sums = noted  # damage since then is found when it is loaded
+        for name, state in found.items():
+            if name not in noted or noted[name][0] != state:
+                checksum = _checksum(program / name)
+                if name not in noted or noted[name][1] == checksum:
+                    sums[name] = [state, checksum]
+        temporary = program / f"{SUMS}.{os.getpid()}"
+        try:
+            temporary.write_text(json.dumps(sums))
+            temporary.replace(program / SUMS)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+
+
+def _read(program):
+    """Name -> state and checksum that were noted; none if nothing was. Raises what JSON raises."""
+    try:
+        return dict(json.loads((program / SUMS).read_bytes()))
+    except FileNotFoundError:
+        if os.path.lexists(program / SUMS):  # a link to nowhere
+            raise
+        return {}
+
+
+def _files(program):
+    """Name -> state of a program's files: size and times, which no write leaves as they were."""
+    found = {}
+    for folder, _, names in os.walk(program, onerror=_raise):
+        for name in names:
+            if not name.startswith(CHANGING) and not name.endswith(".temp"):  # which another process writes just now
+                path = os.path.join(folder, name)
+                state = os.stat(path)
+                found[os.path.relpath(path, program)] = [state.st_size, state.st_mtime_ns, state.st_ctime_ns]
+    return found
+
+
+def _raise(error):
+    raise error
+
+
+def _checksum(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _is_whole(path):
+    """Whether a file that was not noted ends where its format says; others than PoCL's are taken as they are."""
+    return {".bc": _is_whole_bitcode, ".so": _is_whole_elf}.get(path.suffix, os.path.isfile)(path)
 
 
 def _is_whole_bitcode(path):

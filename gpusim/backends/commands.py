@@ -64,7 +64,8 @@ class Arriving(Transfer):
         return self.array
 
     def wait(self):
-        self.event.wait()
+        with self.device.waiting():
+            self.event.wait()
 
 
 class Copy:

@@ -1,20 +1,19 @@
 """OpenCL devices: PoCL on CPUs, any vendor's GPU."""
 
 import os
-import sqlite3
-import sys
 import time
 import weakref
 from collections import defaultdict, deque
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 
 import numpy as np
 
 from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
-from gpusim.backends.caches import prepare_opencl
+from gpusim.backends.caches import pocl_folder
 from gpusim.backends.commands import Arriving, Command, Copy
+from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import SMALL, Taped
@@ -27,7 +26,6 @@ REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_ME
 # Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then what
 # remains. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
 CPU_GROUPS = (128, 8, 1)
-LAST = 60  # [s] that the end of a process waits for a thread that launches something
 
 
 class OpenCLDevice(Taped):
@@ -63,7 +61,8 @@ class OpenCLDevice(Taped):
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
         # Python frees arrays in any order when it ends, and with the device: the driver must not write to them then
-        weakref.finalize(self, finish, self._lock, (*self._queues, self._copies), os.getpid())
+        self._waits: list = []  # one entry for each thread that waits in the driver
+        weakref.finalize(self, finish, self._lock, (*self._queues, self._copies), self._waits, os.getpid())
 
     @property
     def memory(self):
@@ -81,7 +80,8 @@ class OpenCLDevice(Taped):
             return OpenCLArray(self, self.wrapped(values), values.shape, dtype, values)
         result = self._empty(values.shape, dtype)
         if values.nbytes > SMALL:
-            self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
+            with self.waiting():
+                self._cl.enqueue_copy(self.queue, result.buffer, values)  # blocking, so `values` may go
         else:  # a blocking copy would wait for all that was launched before
             done = self._cl.command_execution_status.COMPLETE
             with self._lock:  # the queue stays
@@ -153,7 +153,8 @@ class OpenCLDevice(Taped):
             event = self._cl.enqueue_copy(self.queue, values, array.buffer, is_blocking=False)
 
         def fetched():
-            event.wait()
+            with self.waiting():
+                event.wait()
             free.append(values)
             return np.array(values, copy=True, subok=False)
 
@@ -183,7 +184,8 @@ class OpenCLDevice(Taped):
             return array.host
         out = np.empty(array.shape, array.dtype)
         if out.size:
-            self._cl.enqueue_copy(self.queue, out, array.buffer)
+            with self.waiting():
+                self._cl.enqueue_copy(self.queue, out, array.buffer)
         return out
 
     def _place(self, array):
@@ -221,7 +223,7 @@ class OpenCLDevice(Taped):
             entry = spare.pop()  # making one takes 0.2 ms
         except IndexError:
             with self._lock:
-                entry = self._cl.Kernel(self._program(stage, defines), kernel)
+                entry = self._entry(stage, self._program(stage, defines), kernel)
         pieces = self._pieces(tuple(grid), group)
         return Command(self, self._clock.charged or stage, kernel, entry, pieces, args, spare)
 
@@ -252,18 +254,16 @@ class OpenCLDevice(Taped):
             program = self._program(stage, defines)
             kinds = [np.int32 if isinstance(arg, int | np.integer) else
                      np.float32 if isinstance(arg, float | np.floating) else None for arg in args]
-            try:
-                self._kernels[key] = self._typed(program, kernel, kinds)
-            except sqlite3.Error:  # pyopencl's cache of how arguments are set is corrupt: it saves less than 1 ms
-                self._cl._PYOPENCL_NO_CACHE = True
-                self._kernels[key] = self._typed(program, kernel, kinds)
+            self._kernels[key] = entry = self._entry(stage, program, kernel)
+            entry.set_scalar_arg_dtypes(kinds)  # typed once, a launch costs microseconds instead of hundreds of them
         return self._kernels[key]
 
-    def _typed(self, program, kernel, kinds):
-        """Typed once, a launch costs microseconds instead of hundreds of them."""
-        entry = self._cl.Kernel(program, kernel)
-        entry.set_scalar_arg_dtypes(kinds)
-        return entry
+    def _entry(self, stage, program, kernel):
+        try:
+            return self._cl.Kernel(program, kernel)
+        except self._cl.Error as error:
+            raise DeviceError(f"{self.name} ({self.cl_device.name}): cannot load {kernel} of {stage}: {error}; remove "
+                              f"what its driver keeps of compiled kernels ({pocl_folder()})") from error
 
     def _program(self, stage, defines):
         key = (stage, *sorted(defines.items()))
@@ -292,8 +292,19 @@ class OpenCLDevice(Taped):
     def sync(self):
         with self._lock:
             done, self._in_flight = self._in_flight, []
-        self.queue.finish()
+        with self.waiting():
+            self.queue.finish()
         done.clear()  # not sooner: the kernels that used it have ended now
+
+    @contextmanager
+    def waiting(self):
+        """A call of the driver that lets other threads run; the end of the process waits for it."""
+        with self._lock:
+            self._waits.append(None)
+        try:
+            yield
+        finally:
+            self._waits.pop()
 
     @contextmanager
     def timed(self):
@@ -319,30 +330,6 @@ class OpenCLDevice(Taped):
         clock.events.clear()
 
 
-def finish(lock, queues, process: int):
-    """Wait for everything that was launched, and let no other thread launch more: a device or the process ends.
-
-    process: that the queues are of; those of a forked one do not work.
-    """
-    if os.getpid() != process:
-        return
-    lock.acquire(timeout=LAST)  # for good; a thread that hangs in its driver keeps it
-    for queue in filter(None, queues):
-        with suppress(Exception):  # of a driver that has failed: there is no work left
-            queue.finish()
-
-
-def pyopencl():
-    """The package, and PoCL with a cache that it can use. Raises DeviceError where it is missing."""
-    if "pyopencl" not in sys.modules:
-        prepare_opencl()
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"OpenCL devices need pyopencl ({error}); pip install 'pyopencl[pocl]'") from error
-    return pyopencl
-
-
 def stage_source(stage: str) -> tuple[str, Path]:
     """Text of `kernels/<area>/<stage>.cl`, and the folder of the files it includes."""
     import gpusim.kernels
@@ -352,19 +339,3 @@ def stage_source(stage: str) -> tuple[str, Path]:
     if not path.exists():
         raise DeviceError(f"{stage}: no OpenCL kernel; add kernels/{path.relative_to(root)}")
     return path.read_text(), root / "common"
-
-
-def cl_devices() -> list:
-    """Every OpenCL device of every platform, in the ICD loader's order."""
-    cl = pyopencl()
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error:  # no platform at all is an error code, not an empty list
-        return []
-    found = []
-    for platform in platforms:
-        try:
-            found += platform.get_devices()
-        except cl.Error:  # a platform without devices
-            continue
-    return found

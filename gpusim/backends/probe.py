@@ -1,6 +1,7 @@
 """What devices there are, and whether they work: each is tried in a process of its own, for drivers may abort.
 
-Results are kept in the user's cache folder until the packages, the drivers or the environment change.
+Results are kept in the user's cache folder until the packages, the drivers or the environment change; those of devices
+that fail for ten minutes, and not at all if none works but NumPy.
 `python -m gpusim.backends.probe opencl:0` tries one device and prints what it found as JSON.
 """
 
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.backends.opencl import cl_devices
+from gpusim.backends.driver import cl_devices
 from gpusim.backends.warp import started_warp
 from gpusim.domain.errors import DeviceError, GpusimError
 
@@ -27,7 +28,7 @@ TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
 EMPTY = {"name": "", "device": "", "driver": "", "version": "", "units": 0, "fp64": False, "fp16": False, "gpu": False,
          "memory": 0, "copy_gbps": 0.0, "error": ""}
 KINDS = {key: type(value) for key, value in EMPTY.items()}
-PATIENCE = 3600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
+PATIENCE = 600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
 DRIVERS = {"linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)", "darwin": "PoCL (conda-forge: pocl)",
            "win32": "Intel's CPU Runtime for OpenCL"}
 log = logging.getLogger(__name__)
@@ -72,7 +73,7 @@ def devices(refresh: bool = False) -> list[dict]:
     entries = [_try(name) for name in names]
     if failure:
         entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
-    if cache is not None:
+    if cache is not None and any(not entry["error"] for entry in entries if entry["name"] != "numpy"):
         write_cache(cache, entries)
     return entries
 
@@ -111,9 +112,9 @@ def cache_file(name: str) -> Path | None:
 
 def _cache_path(name="devices"):
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim"
-    facts = [sys.prefix, platform.node(), platform.processor(), *(f"{name}={os.environ.get(name)}" for name in (
-        "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES", "POCL_DEVICES",
-        "POCL_MAX_PTHREAD_COUNT"))]
+    facts = [sys.prefix, *_installation(), platform.node(), platform.processor(), *(
+        f"{name}={os.environ.get(name)}" for name in ("OCL_ICD_VENDORS", "OCL_ICD_FILENAMES", "CUDA_VISIBLE_DEVICES",
+                                                      "POCL_DEVICES", "POCL_MAX_PTHREAD_COUNT"))]
     for package in ("gpusim", "pyopencl", "pocl-binary-distribution", "warp-lang"):
         try:
             facts.append(f"{package} {version(package)}")
@@ -124,6 +125,16 @@ def _cache_path(name="devices"):
     with contextlib.suppress(OSError):
         facts.append(Path("/proc/driver/nvidia/version").read_text())
     return folder / f"{name}-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+
+
+def _installation():
+    """Where gpusim and its kernels are, and since when: what failed for want of them may work now."""
+    try:
+        import gpusim.kernels as kernels
+    except ImportError:
+        return ["no kernels"]
+    folders = [Path(folder) for folder in (*sys.modules["gpusim"].__path__, *kernels.__path__)]
+    return [f"{folder} {folder.stat().st_mtime_ns}" for folder in folders if folder.is_dir()]
 
 
 def _names():

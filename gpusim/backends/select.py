@@ -4,7 +4,8 @@ import functools
 import threading
 
 from gpusim.backends.device import Device, refuse_fork
-from gpusim.backends.opencl import OpenCLDevice, cl_devices
+from gpusim.backends.driver import cl_devices
+from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.warp import WarpDevice
 from gpusim.domain.errors import DeviceError
 

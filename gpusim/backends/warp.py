@@ -1,7 +1,7 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
+import logging
 import os
-import shutil
 import sys
 import threading
 import time
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.backends.caches import is_writable, lent_folder
+from gpusim.backends.caches import has_room, keep_sound, lent_folder, note, remove
 from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
@@ -48,6 +48,7 @@ def started_warp():
     return wp
 
 
+log = logging.getLogger(__name__)
 _building = threading.RLock()  # Warp's modules are shared by all devices, and built by one thread at a time
 REFUSALS = "Failed to allocate", "out of memory"  # of memory, in Warp's words and CUDA's
 
@@ -143,6 +144,7 @@ class WarpDevice(Taped):
             array = array.contiguous()
         if self._dtype(array) != dtype:
             other, array = array, self._empty(array.shape, dtype)
+            self._load("casts", self._wp.get_module("warp.utils"))
             self._wp.utils.array_cast(other, array)
         return array if array is given else self._as_shown(array)  # the caller's own stays as it is
 
@@ -309,23 +311,38 @@ class WarpDevice(Taped):
 
     def _build(self, stage, module, **options):
         start = time.perf_counter()
+        if not keep_sound(self._kept(module)):
+            self._wp.config.kernel_cache_dir = str(lent_folder())
         try:
             self._wp.load_module(module, device=self.wp_device, **options)
-        except Exception:  # of whatever kind by what is corrupt in the cache, if that is why
-            self._forget(module)
+        except Exception as cause:  # of whatever kind by what is wrong with the cache, if that is why
+            self._forget(module, cause)
             try:
                 self._wp.load_module(module, device=self.wp_device, **options)
             except Exception as error:
                 raise DeviceError(f"{self.name}: cannot build {stage}: {str(error).partition(chr(10))[0]}") from error
+        for folder in self._kept(module):
+            note(folder)
         self.build_ms[stage] = self.build_ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
-    def _forget(self, module):
-        """Drop what is kept of a module; keep nothing beyond this process where the cache cannot be written."""
+    def _kept(self, module):
+        """Folders in which Warp keeps a module, by the first digits of its hash."""
+        name = getattr(module, "name", None) or module.__name__
+        return list(Path(self._wp.config.kernel_cache_dir).glob(f"wp_{name}_{'[0-9a-f]' * 7}"))
+
+    def _forget(self, module, cause):
+        """Drop what is kept of a module; keep nothing beyond this process if the cache has no room."""
+        folders = self._kept(module)
+        for folder in folders:
+            remove(folder)
         folder = Path(self._wp.config.kernel_cache_dir)
-        for kept in folder.glob(f"wp_{getattr(module, 'name', module.__name__)}_*"):
-            shutil.rmtree(kept, ignore_errors=True)
-        if not is_writable(folder):
+        if not has_room(folder) or any(map(os.path.lexists, folders)):
             self._wp.config.kernel_cache_dir = str(lent_folder())
+        elif folders:
+            log.warning("gpusim: %s could not be loaded (%s), and is built again", folders[0],
+                        str(cause).partition("\n")[0])
+        # Warp keeps failures, too
+        (module if hasattr(module, "mark_modified") else self._wp.get_module(module.__name__)).mark_modified()
 
     def sync(self):
         self._wp.synchronize_device(self.wp_device)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from devices import KINDS
 
-from gpusim.backends import pocl, probe
+from gpusim.backends import caches, pocl, probe
 from gpusim.backends.opencl import CPU_GROUPS, OpenCLDevice
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
@@ -128,6 +128,24 @@ def test_a_broken_device_is_kept_for_a_while(probed, monkeypatch):
     assert len(probed) == 9
 
 
+def test_that_no_device_works_is_not_kept(probed, monkeypatch):
+    """Its cause may be gone the next time, a package that was not whole say."""
+    broken = {**SLOW, "error": "no kernels"}
+    found = {"numpy": GOOD, "opencl:0": {**broken, "name": "opencl:0"}, "warp:cpu": broken}
+    monkeypatch.setattr(probe, "_names", lambda: (list(found), ""))
+    monkeypatch.setattr(probe, "_try", lambda name: probed.append(name) or found[name])
+    with pytest.raises(DeviceError, match=r"no usable device .*no kernels"):
+        probe.best()
+    found["warp:cpu"] = SLOW
+    assert probe.best()["name"] == "warp:cpu" and len(probed) == 6
+
+
+def test_an_installation_that_changes_is_tried_again(monkeypatch):
+    before = probe._cache_path()
+    monkeypatch.setattr(probe, "_installation", lambda: ["elsewhere 1"])
+    assert probe._cache_path() != before
+
+
 def test_a_device_that_has_gone_is_not_chosen(probed, monkeypatch):
     """The record names a GPU that is no longer there: what there is now is found anew."""
     gone = {**GOOD, "name": "opencl:99", "gpu": True}
@@ -163,32 +181,89 @@ def test_a_package_that_is_missing_is_said_in_one_line(package, device, tmp_path
     assert package in line and "pip install" in line and len(line) < 500
 
 
-def damage(folder, how):
-    """Every file under a folder cut off, emptied or overwritten; how many."""
-    files = [file for file in folder.rglob("*") if file.is_file() and file.stat().st_size]
-    for file in files:
-        content = file.read_bytes()
-        file.write_bytes({"half": content[: len(content) // 2], "empty": b"", "garbage": b"\x55" * len(content)}[how])
-    return len(files)
+WAYS = "empty", "half", "zeros", "flipped", "folder", "unreadable"
+
+
+def damage(file, way):
+    """A file cut off, overwritten, with a bit flipped in its middle, or with something else in its place."""
+    content = file.read_bytes()
+    middle = len(content) // 2
+    flipped = content[:middle] + bytes([content[middle] ^ 16]) + content[middle + 1:] if content else b""
+    file.unlink()
+    if way == "folder":
+        file.mkdir()
+    elif way == "unreadable":
+        file.symlink_to("/no/such file")  # for root, too
+    else:
+        file.write_bytes({"half": content[:middle], "zeros": bytes(len(content)), "flipped": flipped}.get(way, b""))
 
 
 def kept_in(folder):
     return {name: str(folder / name) for name in ("POCL_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME")}
 
 
-@pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("how", ["half", pytest.param("empty", marks=pytest.mark.slow),
-                                 pytest.param("garbage", marks=pytest.mark.slow)])
-def test_corrupt_kernels_are_built_anew(device, how, tmp_path):
-    folders = kept_in(tmp_path)
-    for folder in folders.values():
-        Path(folder).mkdir()
+def compiled(device, folder):
+    """Folders in which a device's kernels were kept by a process, and their files."""
+    folders = kept_in(folder)
+    for kept in folders.values():
+        Path(kept).mkdir(parents=True)
     assert run(COPY, device, **folders).returncode == 0
-    if device.startswith("warp") or "pocl" in open_device(device).cl_device.version.lower():
-        assert damage(tmp_path, how)
-    for _ in range(2):
-        found = run(COPY, device, **folders)
-        assert found.returncode == 0, found.stderr
+    return [file.relative_to(folder) for file in sorted(folder.rglob("*")) if file.is_file()]
+
+
+def require_mended(folder, device, what):
+    """The kernels of damaged caches are right, after one line at most, and nothing is said the next time."""
+    first, second = (run(COPY, device, **kept_in(folder)) for _ in range(2))
+    assert first.returncode == 0 and len(first.stderr.splitlines()) <= 1, f"{what}: {first.returncode} {first.stderr}"
+    assert "Traceback" not in first.stderr
+    assert (second.returncode, second.stderr) == (0, ""), what
+
+
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("way", [way if way in ("flipped", "unreadable") else pytest.param(way, marks=pytest.mark.slow)
+                                 for way in WAYS])
+def test_corrupt_kernels_are_built_anew(device, way, tmp_path):
+    """All files of all caches at once."""
+    files = compiled(device, tmp_path)
+    if not files:
+        pytest.skip("its driver keeps what it compiled elsewhere")
+    for file in files:
+        damage(tmp_path / file, way)
+    require_mended(tmp_path, device, way)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", KINDS)
+def test_every_file_of_a_cache_may_be_corrupt(device, tmp_path):
+    """One at a time, in every way."""
+    files = compiled(device, tmp_path / "whole")
+    for file in files:
+        for way in WAYS:
+            shutil.copytree(tmp_path / "whole", tmp_path / "damaged", symlinks=True)
+            damage(tmp_path / "damaged" / file, way)
+            require_mended(tmp_path / "damaged", device, f"{file} {way}")
+            shutil.rmtree(tmp_path / "damaged")
+    print(f"{device}: {len(files) * len(WAYS)} corrupt files")
+
+
+def test_what_was_compiled_is_known_by_its_checksum(tmp_path, caplog):
+    program = tmp_path / "AB" / "CDE"
+    (program / "copy").mkdir(parents=True)
+    (program / "copy" / "copy.bin").write_bytes(b"some code")
+    assert caches.is_sound(program)  # nothing is noted
+    caches.note(program)
+    copied = shutil.copytree(program, tmp_path / "AB" / "FGH")  # with other times
+    os.utime(copied / "copy" / "copy.bin", (1, 1))
+    assert caches.is_sound(program) and caches.is_sound(copied)
+    (copied / "copy" / "copy.bin").write_bytes(b"SOME CODE")
+    os.utime(copied / "copy" / "copy.bin", (1, 1))
+    caches.note(copied)  # by a process that does not use it: what was noted stays
+    assert not caches.is_sound(copied)
+    assert caches.keep_sound([program, copied]) and not copied.exists()
+    assert [record.getMessage() for record in caplog.records] == [
+        f"gpusim: 1 compiled program in {tmp_path / 'AB'} was damaged, and built again"]
+    (program / caches.SUMS).write_text("[[")
+    assert not caches.is_sound(program)
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -197,6 +272,39 @@ def test_kernels_that_cannot_be_kept_are_built(device, tmp_path):
     (tmp_path / "file").write_text("")
     found = run(COPY, device, **kept_in(tmp_path / "file"))
     assert found.returncode == 0, found.stderr
+
+
+def test_a_full_disk_is_done_without_or_said_in_one_line(tmp_path, monkeypatch):
+    """By a limit of 1 MiB a file, which is one of quotas, too: PoCL aborts at a file that it cannot write."""
+    import resource
+
+    hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+    monkeypatch.setattr(caches, "LARGEST", 2**21)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**20, hard))
+    try:
+        assert not caches.has_room(tmp_path)
+        with pytest.raises(DeviceError, match="no room for compiled kernels: wanted 32 MiB") as failure:
+            caches.lent_folder()
+        assert "\n" not in str(failure.value)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    assert caches.has_room(tmp_path)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_cache_on_a_full_disk(device, tmp_path):
+    """Kernels are kept elsewhere for the process."""
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True).returncode:
+        pytest.skip("a small disk can be mounted by root alone")
+    try:
+        folders = kept_in(tmp_path)
+        for folder in folders.values():
+            Path(folder).mkdir()
+        (tmp_path / "filler").write_bytes(bytes(2**17))
+        found = run(COPY, device, **folders)
+        assert (found.returncode, found.stderr) == (0, "")
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
 
 
 @pytest.mark.parametrize("grid", [(1,), (127,), (128,), (1000,), (3, 137), (5, 128), (2, 3, 263)])

@@ -12,7 +12,7 @@ BEGIN = """
 import sys, threading
 import gpusim as gs
 from gpusim.backends import open_device
-scene = gs.chart("deadleaves", size=(1280, 720))
+scene = gs.chart("deadleaves", size=(960, 640))
 simulate = gs.Simulator(gs.open_camera("phone"), device=sys.argv[1])
 program = simulate.program(scene, 0.01)
 def work():
@@ -21,18 +21,19 @@ def work():
 """
 # How it ends -> what is done last, and the status
 ENDS = {"plain": ("work()", 0),
-        "in a function": ("def main():\n    y = gs.Simulator(gs.open_camera('mono'), device=sys.argv[1]).program(scene, .01)"
-                          "\n    z = y.raw(), y.output('irradiance')\nmain()", 0),
+        "in a function": ("def main():\n    y = gs.Simulator(gs.open_camera('mono'), device=sys.argv[1])\n"
+                          "    z = y.program(scene, .01)\n    a = z.raw(), z.output('irradiance')\nmain()", 0),
         "exit": ("work()\nsys.exit(3)", 3),
         "an error": ("work()\nraise ValueError('no')", 1),
         "a thread": ("threading.Thread(target=work).start()", 0),
-        "a thread that nobody waits for": ("def on():\n    while True:\n        work()\n"
+        "a thread that nobody waits for": ("other = simulate.program(scene, 0.02)\ndef on():\n    while True:\n"
+                                           "        other.output('irradiance')\n        other.raw()\n"
                                            "threading.Thread(target=on, daemon=True).start()\nwork()", 0),
         "Ctrl-C": ("import os, signal\nwork()\nos.kill(os.getpid(), signal.SIGINT)\nwork()", -2),
         "a stream": ("frames = simulate.stream([scene] * 3, 'raw')\nx = next(frames)", 0),
         "a device that is dropped": ("from gpusim.backends.opencl import OpenCLDevice\n"
-                                     "device = open_device(sys.argv[1])\nother = type(device)(device.cl_device, 'opencl:7')"
-                                     " if device.kind == 'opencl' else device\n"
+                                     "device = open_device(sys.argv[1])\nis_opencl = device.kind == 'opencl'\n"
+                                     "other = OpenCLDevice(device.cl_device, 'opencl:7') if is_opencl else device\n"
                                      "gs.Simulator(gs.open_camera('phone'), device=other).program(scene, .01).raw()\n"
                                      "del other", 0)}
 
@@ -44,8 +45,8 @@ def ended(end, device):
     return done.returncode, done.stderr
 
 
-@pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("end", ["plain", "a thread that nobody waits for", "a device that is dropped"])
+@pytest.mark.parametrize("device", [name for name in KINDS if name != "warp:cpu"])  # which has nothing pending
+@pytest.mark.parametrize("end", ["plain", "a device that is dropped"])
 def test_a_process_ends_while_its_device_works(end, device):
     status, message = ended(end, device)
     assert status == ENDS[end][1], message

@@ -17,7 +17,8 @@ from every_path import made_on, require_equal
 from PIL import Image
 
 from gpusim.backends import open_device, probe
-from gpusim.backends.opencl import OpenCLDevice, cl_devices, pyopencl
+from gpusim.backends.driver import cl_devices, pyopencl
+from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.errors import DeviceError
 
 STAGES = "spectral.integrate", "optics.mosaic", "optics.falloff", "sensor.noise", "processor.malvar", "display.encode"

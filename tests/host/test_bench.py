@@ -1,6 +1,7 @@
 """The scripts in bench/: what they store is read again, compared and shown, and no figure of theirs is pasted."""
 
 import json
+import os
 import runpy
 import subprocess
 import sys
@@ -224,3 +225,10 @@ def test_command_writes_the_readme(stored, tmp_path):
     subprocess.run([sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True)
     assert readme.read_text() == tables.filled(marks("loops", "threads", "compare", "triples", "tolerances", "color"),
                                                tables.stored_results(stored))
+
+
+def test_a_process_of_its_own_finds_what_this_one_finds(tmp_path, monkeypatch):
+    """Packages may be on PYTHONPATH alone."""
+    (tmp_path / "only_there.py").write_text("def one(number):\n    return {'twice': 2 * number}\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")])))
+    assert results.in_process("only_there", {"number": 4}) == {"twice": 8}
