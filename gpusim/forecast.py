@@ -44,10 +44,10 @@ class Forecast:
         plan = self.plan
         return {"scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
                 "models": plan.models, "left_out": plan.left_out,
-                "bounds": {name: asdict(bound) for name, bound in plan.account.bounds.items()},
-                "predicted": asdict(plan.account.total), "beside": plan.beside,
+                "bounds": {name: bound.as_dict() for name, bound in plan.account.bounds.items()},
+                "predicted": plan.account.total.as_dict(), "beside": plan.beside,
                 "tolerance": plan.tolerance and asdict(plan.tolerance),
-                "verdict": plan.verdict and asdict(plan.verdict), "ms": self.ms, "frame_ms": sum(self.ms.values()),
+                "verdict": plan.verdict and plan.verdict.as_dict(), "ms": self.ms, "frame_ms": sum(self.ms.values()),
                 "bytes": plan.bytes_needed,
                 "front": [{"ms": ms, **option.as_dict()} for ms, option in self.front]}
 
@@ -74,11 +74,12 @@ class Forecast:
         """A bar for every error, of the figure that the tolerance binds most."""
         bounds = self.plan.account.bounds
         _, figure, *_, unit = self.plan.account.total.nearest(self._tolerance)
-        values = {name: getattr(bound, figure) for name, bound in bounds.items()}
+        values = {name: getattr(bound, figure) for name, bound in bounds.items() if bound.is_known}
         values["all together"] = getattr(self.plan.account.total, figure)
         most = max(values.values()) or 1.0
         return [f"  error: {name:22s} {value:8.2g}{unit}  {'#' * int(np.ceil(BAR * value / most))}"
-                for name, value in values.items()]
+                for name, value in values.items()] + [
+                    f"  error: {name:22s} not known" for name, bound in bounds.items() if not bound.is_known]
 
 
 def _varied(plan, option):

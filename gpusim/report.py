@@ -110,24 +110,39 @@ class Report(Tabled):
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
-        return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance,
-                               "prediction_ratio": self.prediction_ratio, "predicted": asdict(self.account.total)}
+        return asdict(self) | {"account": self.account.as_dict(), "ms": self.ms,
+                               "meets_tolerance": self.meets_tolerance, "prediction_ratio": self.prediction_ratio,
+                               "predicted": self.account.total.as_dict(),
+                               "verdict": self.verdict and self.verdict.as_dict()}
+
+    def errors(self) -> list[tuple[str, str]]:
+        """Name and figures of every predicted error, and of all together."""
+        bounds = self.account.bounds
+        last = "all known together" if any(not bound.is_known for bound in bounds.values()) else "all together"
+        return [(name, f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+                 if bound.is_known else "not known") for name, bound in [*bounds.items(), (last, self.account.total)]]
+
+    @property
+    def _border(self):
+        """Error of the border, if no tolerance limits it."""
+        border = self.account.bounds.get("border")
+        if self.tolerance is not None or border is None:
+            return ""
+        return f"; no tolerance: border error rms {border.rms:.2g}, largest {border.max_sigma:.2g} sigma, predicted"
 
     def __repr__(self):
         named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
-        verdict = "" if self.verdict is None else f", tolerance {'met' if self.verdict.met else 'NOT met'}"
+        verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
         return shortened(f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
                          f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})")
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
                  f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
-                 f"{self.camera['iso']:.4g}, frame {self.frame}"]
+                 f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
         lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
-        for name, bound in [*self.account.bounds.items(), ("all together", self.account.total)]:
-            lines.append(f"  predicted: {name:22s} rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest "
-                         f"{bound.max_sigma:.2g} sigma")
+        lines += [f"  predicted: {name:22s} {words}" for name, words in self.errors()]
         lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error

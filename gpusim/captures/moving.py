@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY
+from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
@@ -67,9 +67,26 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
         mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
         model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
             f", light that flickers at {flicker.frequency:g} Hz" if flicker else "")
-        plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
+        plan = dataclasses.replace(_worst(plans, simulator.tolerance),
+                                   models=plans[0].models | {"sensor.shutter": model})
         exposure = exposed(simulator, plan, device.reshape(mean, shape), exposure_time, gain, Kept())
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
+
+
+def _worst(plans, tolerance):
+    """The first plan with the largest error of every cause in any of the plans."""
+    bounds: dict = {}
+    for plan in plans:
+        for name, bound in plan.account.bounds.items():
+            other = bounds.get(name, bound)
+            bounds[name] = Bound(*map(max, dataclasses.astuple(bound), dataclasses.astuple(other)))
+    first = plans[0]
+    doubt = next((plan.account.doubt for plan in plans if plan.account.doubt), "")
+    account = dataclasses.replace(first.account, bounds=bounds, doubt=doubt)
+    remedy = next((plan.verdict.remedy for plan in plans if plan.verdict and plan.verdict.remedy), "")
+    left_out = list(dict.fromkeys(line for plan in plans for line in plan.left_out))
+    return dataclasses.replace(first, account=account, left_out=left_out,
+                               verdict=tolerance and account.verdict(tolerance, remedy))
 
 
 def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: float | None = None, start: float = 0.0,

@@ -73,7 +73,7 @@ class Pairs:
                 "read_noise_e": float(sensor.read_sigma), "cfa": list(sensor.cfa),
                 "predicted_rms": account.total.rms}
         if simulator.tolerance is not None:
-            told["tolerance_met"] = account.verdict(simulator.tolerance).met
+            told["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return pair | {"told": told}
 
 

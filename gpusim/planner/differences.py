@@ -19,11 +19,13 @@ class Differences:
 
     lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
     shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
-    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where no size of SIZES is enough.
+    RMS of a natural image that the end of the kernels may cost. axis: where the optical axis meets the planes, from
+    their middle, (rows, cols) [pixel]. Raises OutOfRange where no size of SIZES is enough.
     """
 
-    def __init__(self, lens, wavelengths, mix, shape, corner, error):
+    def __init__(self, lens, wavelengths, mix, shape, corner, error, axis=(0.0, 0.0)):
         self.lens, self.shape, self.corner = lens, shape, corner
+        self.middle = (np.array(shape) - 1) / 2 + axis
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
         gains = np.ones(len(self.nodes))
@@ -37,9 +39,8 @@ class Differences:
 
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
-        middle = (np.array(self.shape) - 1) / 2
         kernels = np.empty((len(places), len(self.mix), self.size, self.size))
-        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - middle) / self.corner, strict=True):
+        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True):
             if self.mirrored:  # the other quadrants are mirror images
                 kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
             else:
@@ -58,11 +59,11 @@ class Differences:
     def _enough(self, error):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
-        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner
+        corner = farthest_corner(self.shape, self.middle) / self.corner
+        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner * np.hypot(*corner)
         if shift > WIDEST_SHIFT:
             raise OutOfRange("optics.lateral_color", f"{shift:.3g} pixels at the frame's corner",
                              f"up to {WIDEST_SHIFT} pixels; or a coarser pixel")
-        corner = (np.array(self.shape) - 1) / 2 / self.corner
         middle = [self.nodes[len(self.nodes) // 2]]
         whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
         for size in SIZES:
@@ -74,6 +75,12 @@ class Differences:
                     return size
         raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
                          "narrower ones; or a coarser pixel")
+
+
+def farthest_corner(shape, axis) -> np.ndarray:
+    """The corner of a frame of `shape` that lies farthest from `axis`, (row, column) [pixel], seen from there."""
+    last = np.array(shape) - 1.0
+    return np.where(axis <= last / 2, last - axis, -axis)
 
 
 def _even(differences):

@@ -222,7 +222,7 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
             question = blur.left_out(question, picture, probes, notes)
     if not scene.view.is_plain:
         geometry.viewed(question, probes or spectral.probes_of(question, picture, operation), notes)
-    by_depth, one_distance = depth.by_depth(question)
+    by_depth = depth.by_depth(question, lambda: probes or spectral.probes_of(question, picture, operation), notes)
     name, rounding = "rounding", ROUNDING if single else STORED
     if single and question.is_blurred:
         name, rounding = "transforms", TRANSFORM_ERROR
@@ -233,13 +233,12 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
     depth.describe(by_depth, notes)
     picture.describe(notes)
     distortion = geometry.distorted(question, probes, notes)
+    geometry.describe_calibration(question, notes)
     gains, slope = falloff.falloff_of(question, probes, notes)
     if seen.around:
         seen.around.describe(question, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, taps, notes)
-    if one_distance:
-        notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
     weights, planes = question.weights, seen.planes
     account = Account(notes.bounds, operation.seconds, doubt_of(question))
     return Plan(

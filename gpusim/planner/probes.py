@@ -104,6 +104,10 @@ class Probes:
         """The error of leaving the blur out."""
         return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact)
 
+    def changed(self, share: float) -> Bound:
+        """A bound of the error of transfer functions that are wrong by up to `share`, 1 that of no blur."""
+        return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share))
+
     def moved(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
         f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)

@@ -2,12 +2,14 @@
 
 import argparse
 import time
+from collections import Counter
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
-from gpusim.options import add_asked, operated, whole
+from gpusim.options import add_asked, describe_verdicts, operated, whole
 from gpusim.video.asked import MOST_FRAMES, add_moving, moving
 from gpusim.video.ramps import Ramps
 from gpusim.video.segments import LENGTH, Shard, segments_of
@@ -135,7 +137,7 @@ def _written(target, simulator, scenes, own, seed, loops):
 
     from gpusim.video.video import EncodedFile
 
-    begun, worst, count, is_met = time.perf_counter(), None, 0, True
+    begun, worst, count, states = time.perf_counter(), None, 0, Counter()
     total = sum(len(segment) for segment in own)
     with tqdm(total=total, unit="frame", disable=None) as bar:
         for one in target.write(simulator, scenes, own, seed, loops):
@@ -143,19 +145,18 @@ def _written(target, simulator, scenes, own, seed, loops):
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)
             if simulator.tolerance is not None:
-                is_met = is_met and one.account.verdict(simulator.tolerance).met
+                states[one.account.verdict(simulator.tolerance).state] += 1
             bar.set_postfix_str(f"worst error {worst:.2g}", refresh=False)
             bar.update()
     seconds = time.perf_counter() - begun
     if count:
         print(f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s; worst predicted error {worst:.2g} "
-              "relative rms" + ("" if simulator.tolerance is None else
-                                f"; tolerance {'met' if is_met else 'NOT met'}"))
+              f"relative rms{describe_verdicts(states)}")
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
         print(target.told if target.finish() else f"{target.path} is made by the last of the shards")
-    return 0 if is_met else 1
+    return STATUS[worst_state(states)]
 
 
 def _target(path, arguments, simulator, scenes, segments):

@@ -35,7 +35,8 @@ class Fake:
     def picture(self, state, number, drafts=False):
         time.sleep(0.02)
         self.made.append(state)
-        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": True, "left out": ()}
+        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": "met", "unknown": (),
+                 "left out": ()}
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
     def statistics(self, state):

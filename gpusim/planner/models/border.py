@@ -97,16 +97,17 @@ class Surroundings:
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
         reach = min(self.reaches)
-        notes.bounds["border"] = self.bound
         if self.far is not None:
+            notes.bounds["border"] = self.bound
             beyond = (f"{self.reach} pixels outside the frame" if self.tiling is None else
                       f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}")
             notes.models["optics.far"] = f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
             notes.models["optics.near"] = "transfer functions less those of the Gaussians"
             return
+        notes.bounds["border"] = self.bound
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
-            notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
-                                  f"as the transforms repeat it: relative rms {self.bound.rms:.2g}, predicted")
+            notes.leave_out(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
+                            "transforms repeat it", self.bound, "border")
         if question.optics.is_ideal:
             notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
 

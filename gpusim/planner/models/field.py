@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gpusim.planner.differences import Differences
+from gpusim.planner.differences import Differences, farthest_corner
 from gpusim.planner.field import FieldBlur, choose, natural_difference
 from gpusim.planner.fusion import Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
@@ -10,7 +10,7 @@ from gpusim.planner.question import Question
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
-DOUBT = f"the blur varies over a frame of less than {SMALL} samples"
+DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
@@ -68,9 +68,10 @@ def _planes(question, response, prior, limit):
 def _rest(question, transfers, limit, count) -> FieldBlur:
     """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1."""
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
+    axis = tuple(question.ratio * at for at in question.axis)
     of = lens, wavelengths, transfers, shape, question.corner, limit
-    return question.kept("field plan", (*of, count), lambda: choose(
-        Differences(*of[:-1], limit / 8), shape, limit / 2 / np.sqrt(count)))
+    return question.kept("field plan", (*of, axis, count), lambda: choose(
+        Differences(*of[:-1], limit / 8, axis), shape, limit / 2 / np.sqrt(count)))
 
 
 def _stepped(values):
@@ -86,7 +87,8 @@ def _misplaced(question, varying):
     frame, 1 at the corner, is 0.42 .. 0.45.
     """
     optics, wavelengths, size = question.optics, question.content.wavelengths, varying.kernels.shape[-1]
-    corner = (np.array(question.size) - 1) / 2 / question.corner
+    axis = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
+    corner = farthest_corner(question.size, axis) / question.corner
     outer, axis = (question.lens.kernels([float(np.median(wavelengths))], tuple(place), size).sum()
                    for place in (corner, (0.0, 0.0)))
     brighter = (1 + optics.lateral_color_at(wavelengths)) ** 2 - 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY, total
+from gpusim.domain.account import SAFETY, UNKNOWN, total
 from gpusim.domain.calibration import Calibration
 from gpusim.planner.geometry import DistortionGrid, distortion_grid
 from gpusim.planner.notes import Notes
@@ -34,24 +34,23 @@ def distorted(question: Question, probes: Probes | None, notes: Notes) -> Distor
         assert question.tolerance is not None
         bound = probes.moved(move)
         if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
-            notes.without(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
+            notes.leave_out(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
-    if isinstance(question.optics.distortion, Calibration):
-        _note_calibration(question, question.optics.distortion, notes)
     return made
 
 
-def _note_calibration(question, calibration, notes):
-    """Say what the frame takes from a calibration, and what goes on about the frame's middle."""
-    notes.models["optics.distort"] += f"; {calibration}"
+def describe_calibration(question: Question, notes: Notes):
+    """Say what the frame takes from a calibration in place of the scene's own field of view."""
+    calibration = question.optics.distortion
+    if not isinstance(calibration, Calibration):
+        return
+    if "optics.distort" in notes.models:
+        notes.models["optics.distort"] += f"; {calibration}"
     across = calibration.width / calibration.fx  # of the pinhole's picture, in focal lengths
     given = question.scene.fov and 2 * np.tan(question.scene.fov / 2)
     if given and abs(given / across - 1) > NEGLIGIBLE:
-        notes.left_out.append(f"the scene's field of view, {np.degrees(question.scene.fov):.4g} deg: taken for that of "
-                              f"the calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg")
-    move = np.hypot(*calibration.off_middle)
-    if move > 0.5 and (question.optics.varies or not isinstance(question.optics.relative_illumination, str)):
-        notes.left_out.append(f"principal point {move:.3g} pixels off the middle: distortion and cos^4 follow it; blur "
-                              "and a given relative illumination stay about the frame's middle")
+        notes.leave_out(f"the scene's field of view, {np.degrees(question.scene.fov):.4g} deg: taken for that of the "
+                        f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg", UNKNOWN,
+                        "field of view")

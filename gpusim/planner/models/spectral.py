@@ -14,7 +14,7 @@ from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, jo
 from gpusim.planner.models.field import varying_planes
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.models.sampling import taps_of
-from gpusim.planner.notes import Notes
+from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.operation import Operation
 from gpusim.planner.probes import COUNT, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
@@ -59,8 +59,7 @@ def unblurred(question: Question, notes: Notes) -> Planes:
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
     notes.models[_stage(content)] = (f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
                                      "(no blur to apply)")
-    colour = ", lateral colour" if np.any(optics.lateral_color_at(nodes)) else ""
-    notes.left_out.append(f'diffraction{colour}: optics.model is "none"')
+    notes.leave_out(f'{optics.unused}: optics.model is "none"', DECLARED)
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
 
@@ -102,11 +101,28 @@ def _varying(question, even, flat, probes):
 
 
 def describe_unseen(question: Question, notes: Notes):
-    """Say what light the scene does not tell."""
+    """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
     unseen = qe.wavelengths[(qe.values > 0.01).any(axis=0)]
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
-        notes.left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
+        notes.leave_out(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
+                        "it goes on as at the ends", Bound(_light_outside(question)), "light outside the wavelengths",
+                        of_scene=True)
+
+
+def _light_outside(question):
+    """Electrons from outside the scene's wavelengths over those from inside [1].
+
+    Content and light go on as at their ends; all channels count.
+    """
+    nodes, qe, optics = question.scene.wavelengths, question.sensor.qe, question.optics
+    content = np.sqrt(np.maximum(np.diag(question.facts.spectra.values), 0))
+    grid = np.arange(qe.wavelengths[0], qe.wavelengths[-1] + 1)
+    light = np.interp(grid, nodes, content) * optics.transmission_at(grid) * question.scene.illuminant.at(
+        grid, outside=None) * qe.at(grid).sum(axis=0)
+    inside = (grid >= nodes[0]) & (grid <= nodes[-1])
+    seen = light[inside].sum()
+    return float(light[~inside].sum() / seen) if seen > 0 else 0.0
 
 
 def _stage(content):
@@ -144,7 +160,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     if not optics.varies:
         tables = question.tables.even(question.q, question.cell, period, question.ratio, question.moved)
     else:
-        half = np.array(scene.samples) / 2 / question.corner
+        half = (np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)) / question.corner
         tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
