@@ -59,10 +59,10 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
               keep=lambda _, __, make: make()) -> Rendering:
     """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
 
-    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the camera alone, so that linear
-    display values are proportional to exposure time and analog gain up to saturation, 1 / `AutoExposure.white` of
-    display white, where all channels are clipped to white. "normalised": the camera value of a perfect white diffuser
-    is display white; where the scene's light is unknown, saturation is.
+    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
+    camera alone, so that linear display values are proportional to exposure time and analog gain up to saturation,
+    1 / `AutoExposure.white` of display white, where all channels are clipped to white. "normalised": the camera value
+    of a perfect white diffuser is display white; where the scene's light is unknown, saturation is.
     camera: as operated (see `gpusim.frame.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
     the scene's light is unknown, or not to be used, the target light is assumed. keep: function (what, key, make) that
     may give what make() gave before for the same key.
