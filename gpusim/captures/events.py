@@ -61,8 +61,7 @@ class EventSensor:
         if not self.cutoff > 0:
             raise OutOfRange("events.cutoff", self.cutoff, "above 0 Hz; window = 0 is an ideal pixel")
         if self.noise > RATES[0] * self.cutoff:
-            raise OutOfRange("events.noise", self.noise, f"up to {RATES[0]:.3g} times the cutoff of {self.cutoff:g} Hz, "
-                             "which cannot tell more events apart")
+            raise OutOfRange("events.noise", self.noise, f"up to {RATES[0]:.3g} times the cutoff of {self.cutoff:g} Hz")
         checked_count("events.seed", self.seed, 0, 2**64 - 1)
 
     def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
