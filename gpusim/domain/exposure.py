@@ -223,4 +223,5 @@ def auto_exposure(electron_rate, saturation: float, level: float | None = None, 
 
     Arguments, returns and raises as there.
     """
-    return AutoExposure(method, level).choose(np.atleast_2d(electron_rate), saturation)[0]
+    automatic = AutoExposure(method) if level is None else AutoExposure(method, level)
+    return automatic.choose(np.atleast_2d(electron_rate), saturation)[0]
