@@ -135,7 +135,8 @@ class Plan:
         What it predicts and the samples of its scene have no part in it. Computed numbers count as float32, as devices
         take them.
         """
-        optics, sensor, varying, depth = self.camera.optics, self.camera.sensor, self.varying, self.depth
+        optics, sensor, scene, varying, depth = (self.camera.optics, self.camera.sensor, self.scene, self.varying,
+                                                 self.depth)
         numbers = (self.weights, self.white_rate, self.flat, self.table, self.mix, self.transfers, self.falloff, self.q,
                    self.slope, self.taps and [(axis.start, axis.weights) for axis in self.taps],
                    self.far and (self.far.sigmas, self.far.tails, self.far.spacings),
@@ -144,8 +145,9 @@ class Plan:
         choices = (self.folded, self.spare, self.period, self.tiling, self.far and self.far.border, self.highlights,
                    self.distortion and self.distortion.method, varying and (varying.method, varying.index),
                    depth and (depth.layers, depth.layer))
-        return digest((optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.cfa, sensor.channels,
-                       _as_float32(numbers), choices))[:LETTERS]
+        kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
+        return digest((kind, optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.cfa,
+                       sensor.channels, _as_float32(numbers), choices))[:LETTERS]
 
     @property
     def count(self) -> int:
