@@ -165,7 +165,7 @@ class Simulator:
         """
         program = self.program(scene, exposure_time, gain, plan=plan)
         exposure = program.exposure
-        return replace(exposure, plan=program.as_told, is_rewritten=False)
+        return replace(exposure, plan=program.scene_plan, is_rewritten=False)
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None) -> Any:
         """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.

@@ -103,7 +103,7 @@ def _short(value):
 
 
 def judged_by(simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None) -> Plan:
-    """A plan that is given, see `check_given`, as of a scene: with its errors there, as this simulator would tell them.
+    """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
 
     Raises NotMet if the simulator is strict.
     """

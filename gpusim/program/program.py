@@ -429,12 +429,12 @@ class Program:
         return plan if plan.scene is self.scene else self.before.probing.told(plan, self.scene, self._drift)
 
     @property
-    def as_told(self) -> Plan:
-        """The plan of the exposure as that of its scene, with what it is predicted to err there."""
+    def scene_plan(self) -> Plan:
+        """The exposure's plan, with the errors that are predicted for its scene."""
         return self._told(self._exposed().plan)
 
     def _judged(self):
-        """The plan that was given, as that of the scene."""
+        """The plan that was given, with the errors that are predicted for the scene."""
         simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
         return self.before.kept("given", (One(scene), One(simulator), seconds), lambda: judged_by(
             simulator, self._given, scene, self._facts(), seconds))
