@@ -169,6 +169,15 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         yield [around(reach)]
 
 
+def surroundings_of(question: Question, picture: Picture, level: float, period: tuple[int, int],
+                    far: FarField | None, made: Tiling | None) -> Surroundings:
+    """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
+    reaches = [made.overlap] * 2 if made is not None else [
+        (length - n) // 2 for length, n in zip(period, question.size, strict=True)]
+    return Surroundings(ceil(min(reaches) / question.ratio), reaches, period, False,
+                        _outside(question, picture, None, level), level, far, made, question)
+
+
 def _lengths(question, least):
     """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
     if question.period:
