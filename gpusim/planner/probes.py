@@ -14,7 +14,7 @@ from gpusim.domain.account import Bound
 from gpusim.domain.view import View
 from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
-from gpusim.planner.fusion import SAMPLED_PERIOD
+from gpusim.planner.fusion import SAMPLED_PERIOD, in_range
 from gpusim.planner.geometry import keys_error
 from gpusim.planner.windows import Windows, quantile
 
@@ -194,5 +194,6 @@ def _mixed(weights, spectra):
 
 
 def _mean_squares(values):
-    """Over the last two axes, in the type of the values."""
-    return np.einsum("...yx,...yx->...", values, values) / INNER**2
+    """Over the last two axes, float64 of sums in the type of the values."""
+    values, power = in_range(values)
+    return np.ldexp(np.float64(np.einsum("...yx,...yx->...", values, values) / INNER**2), 2 * power)

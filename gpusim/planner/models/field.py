@@ -34,8 +34,8 @@ def varying_planes(question: Question, response: Response, prior, flat):
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
-    strength = np.sqrt(np.einsum("kl,lm,km->k", table, differences, table))
-    whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat))
+    strength = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, differences, table), 0))
+    whole = np.sqrt(np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0))
     strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
