@@ -5,14 +5,13 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import norm as nrm2
+import scipy
 
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.planner.depth import flattened
 from gpusim.planner.fusion import Spectra, row_pairs
 from gpusim.planner.sampling import Moments, moments
-
 
 MUCH = 16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
 MOST_BRIGHT = 32  # such pairs
@@ -137,7 +136,7 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     even = np.ones(len(first))
     if len(first) >= rows - 1:
         return first, even
-    lengths = np.array([nrm2(row) for row in brightness])  # BLAS scales: no square overflows
+    lengths = np.array([scipy.linalg.norm(row, check_finite=False) for row in brightness])  # BLAS scales: no square overflows
     squares = (lengths / max(lengths.max(), 1e-300)) ** 2
     light = squares[:-1] + squares[1:]
     bright = np.argsort(light, kind="stable")[::-1][:MOST_BRIGHT]

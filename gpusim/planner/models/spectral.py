@@ -16,7 +16,7 @@ from gpusim.planner.models.highlights import Picture
 from gpusim.planner.models.sampling import taps_of
 from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.operation import Operation
-from gpusim.planner.probes import COUNT, LEAST_WINDOWS, RIM, SIDE, Probes
+from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
@@ -186,7 +186,20 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
     tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
     return Probes.of(question.facts, windows, scene.border, tables=tables,
                      weights=question.weights, even=question.weights / flat, share=question.share,
-                     level=picture.level, seconds=operation.seconds, noise=operation.noise)
+                     level=picture.level, seconds=operation.seconds, noise=operation.noise,
+                     apart=picture.mosaic(question.weights, question.share),
+                     **_seen_part(question, windows))
+
+
+def _seen_part(question, windows):
+    """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
+    scene, sensor = question.scene, question.sensor
+    inner = tuple(min(n, INNER) for n in scene.samples)
+    if sensor.stacked or question.ratio != 1:
+        return {"inner": inner}
+    y, x = (at[:, RIM : RIM + n] - scene.margin for at, n in zip((windows.rows, windows.cols), inner, strict=True))
+    cfa = sensor.cfa_indices
+    return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
 
 def response_of(question: Question, even, flat) -> Response:
