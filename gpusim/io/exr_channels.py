@@ -127,11 +127,10 @@ def _colors(path, names, depths):
 
 def _ascending(path, channels):
     channels = sorted(channels, key=lambda channel: channel[1])
-    if len(channels) < 2:
-        raise BadFile(path, f"only one spectral channel ({channels[0][0]!r}); at least 2 are needed")
     for (one, first), (two, second) in pairwise(channels):
         if first == second:
             raise BadFile(path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm")
-        if not 0 < first < second < np.inf:
-            raise BadFile(path, f"channels {one!r} and {two!r}: {first:g} and {second:g} nm, wanted positive ones")
+    for name, nm in channels:
+        if not 0 < nm < np.inf:
+            raise BadFile(path, f"channel {name!r}: {nm:g} nm, wanted a positive wavelength")
     return channels

@@ -171,6 +171,11 @@ class Outside:
     rays: tuple[float, ...] = ()
     straight: float = 0.0
 
+    @cached_property
+    def is_spiky(self) -> bool:
+        """Whether few points are far brighter than the frame."""
+        return bool(self.image.max(initial=0) > SPIKY * self.level)
+
     def error(self, period, reach: float) -> tuple[float, float, float]:
         """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
 

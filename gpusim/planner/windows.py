@@ -84,7 +84,7 @@ def _edges(brightness, margin, border, inner):
 
 
 def _unit(brightness):
-    """A power of two, in the type of the values, by which the largest becomes up to 1, so that squares do not overflow."""
+    """A power of two, in the type of the values, that makes the largest of them up to 1: its square does not overflow."""
     return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
 
 

@@ -360,7 +360,7 @@ def test_numbers_of_hdf5_without_axes(tmp_path):
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         del file["scene/spectrum/wave"]
         file["scene/spectrum/wave"] = 500.0
-    with refused("a.mat", "at least 2 wavelengths", error=BadFile):
+    with refused("a.mat", "increase strictly", error=BadFile):
         gs.open_scene(tmp_path / "a.mat")
 
 

@@ -11,12 +11,19 @@ FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no to
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
+# beyond it predicted over true was .4 to .7 of sigmas, as windows of SIDE samples see little of such a blur
+WIDEST_Q = 24.0
+WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples, too wide a blur for the windows that are looked at"
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
 def doubt_of(question: Question) -> str:
-    """Why errors that are predicted are not sure: a lens that varies within its kernels; "" for others."""
-    return DOUBT if question.is_blurred and question.optics.varies and min(question.size) < SMALL else ""
+    """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
+    if not question.is_blurred:
+        return ""
+    if question.optics.varies and min(question.size) < SMALL:
+        return DOUBT
+    return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
 
 def varying_planes(question: Question, response: Response, prior, flat):

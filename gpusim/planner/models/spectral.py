@@ -8,6 +8,7 @@ import numpy as np
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
+from gpusim.domain.spectrum import LINE
 from gpusim.planner.drift import Watch, wrong_moments
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
@@ -103,6 +104,9 @@ def _varying(question, even, flat, probes):
 def describe_unseen(question: Question, notes: Notes):
     """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
+    if len(nodes) == 1:
+        notes.leave_out(f"light outside {LINE:g} nm around the scene's only wavelength, {nodes[0]:g} nm", DECLARED)
+        return
     unseen = qe.wavelengths[(qe.values > 0.01).any(axis=0)]
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         notes.leave_out(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
