@@ -103,6 +103,8 @@ def _indigo(path, names):
     if not edges:
         return None
     edges = _ascending(path, edges)
+    if len(edges) < 2:
+        raise BadFile(path, f"only one bucket ({edges[0][0]!r}), whose width nothing says; at least 2 are needed")
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
         raise BadFile(path, f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "

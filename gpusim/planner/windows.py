@@ -84,7 +84,7 @@ def _edges(brightness, margin, border, inner):
 
 
 def _unit(brightness):
-    """A power of two, in the type of the values, that makes the largest of them up to 1: its square does not overflow."""
+    """A power of two, in the type of the values, that makes the largest up to 1, so that no square overflows."""
     return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
 
 

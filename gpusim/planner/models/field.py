@@ -4,16 +4,16 @@ import numpy as np
 
 from gpusim.planner.differences import Differences, farthest_corner
 from gpusim.planner.field import FieldBlur, choose, natural_difference
-from gpusim.planner.fusion import Response, channel_operator, joint_operator
+from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
-# beyond it predicted over true was .4 to .7 of sigmas, as windows of SIDE samples see little of such a blur
+# beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
 WIDEST_Q = 24.0
-WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples, too wide a blur for the windows that are looked at"
+WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
