@@ -145,9 +145,9 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
         wavelengths = np.asarray(wavelengths, np.float64)
     except (TypeError, ValueError):
         wavelengths = np.empty((0, 0))
-    if wavelengths.ndim != 1 or len(wavelengths) < 2 or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
+    if wavelengths.ndim != 1 or not len(wavelengths) or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
             wavelengths[-1] < np.inf):
-        raise OutOfRange("wavelengths", wavelengths.tolist(), "2 or more [nm], positive and strictly ascending")
+        raise OutOfRange("wavelengths", wavelengths.tolist(), "1 or more [nm], positive and strictly ascending")
     return wavelengths
 
 

@@ -322,7 +322,7 @@ def _plain(question, blurred, fixed, notes):
     notes.bounds |= fixed
     planes, limit = spectral.unblurred(question, notes), None
     if blurred.is_blurred:
-        bound = notes.bounds["blur left out"]
+        bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
         planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
         limit = max(blurred.limit, HEADROOM * bound.rms)
     return _Seen(planes, limit=limit, remedy=REMEDIES["rounding"])

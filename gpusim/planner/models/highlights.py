@@ -46,6 +46,17 @@ class Picture:
         return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest,
                             exposure_time)
 
+    def mosaic(self, weights, share) -> float | None:
+        """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
+
+        weights: electrons per content, (C, L). share: part of the pixels that has each channel, (C,).
+        """
+        split = self.highlights
+        if split is None:
+            return None
+        each = (split.spectra @ weights.T)[split.light] * split.strength[:, None]
+        return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
+
     def describe(self, notes: Notes):
         """Say what was split off."""
         split = self.highlights
