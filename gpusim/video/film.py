@@ -34,7 +34,7 @@ UNTAGGED = (0, 2)
 MATRICES = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 FULL_RANGE = 2
 LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
-GAP, MOST_LATE = Fraction(3, 2), 16  # frames between neighbours; that may be shown before one that is stored before them
+GAP, MOST_LATE = Fraction(3, 2), 16  # frames between neighbours; and that may be stored after one they are shown before
 STRICT = {"err_detect": "crccheck+explode"}  # of decoders: what they find damaged is refused, not concealed
 PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # of the largest light, and of the largest code
 
