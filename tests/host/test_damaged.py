@@ -100,3 +100,9 @@ def test_damaged_scans_of_jpegs_are_noted(tmp_path):
     data[middle:middle + 40] = bytes(40)
     path.write_bytes(data)
     assert "libjpeg" in gs.open_scene(path).notes[0]
+
+
+@pytest.mark.parametrize("value", [np.zeros((3, 4, 5)), None, 3, [1, 2]])
+def test_what_is_no_name_of_a_scene(value):
+    with refused("wanted a chart's name or a file; gpusim.scene_from makes", error=BadData):
+        gs.open_scene(value)
