@@ -18,7 +18,7 @@ from gpusim.io.files import named
 from gpusim.io.iset import read_iset
 from gpusim.io.npy import read_npy
 from gpusim.io.npz import read_npz
-from gpusim.io.photo import lift, read_photo
+from gpusim.io.photo import damage, lift, read_photo
 from gpusim.io.scene_exr import scene_parts
 from gpusim.io.spectra import patches, read_spectra
 from gpusim.io.stacks import check_reflectances, checked_scale, cut_noise
@@ -95,7 +95,7 @@ def _iset(path, white, **options):
 def _photo(path, white):
     content = read_photo(path)
     with named(path):
-        return Scene(content, white, name=path.stem)
+        return Scene(content, white, name=path.stem, notes=damage(path))
 
 
 def _tiff(path, white, wavelengths=None, kind=None, scale=None):

@@ -114,7 +114,7 @@ def video(arguments) -> int:
     target, manifest, made = _target(path, arguments, simulator, scenes, segments)
     loops = NO_LOOPS
     if arguments.lag:
-        loops = Loops.kept_in(manifest) or _metered(arguments, simulator, scenes)
+        loops = Loops.kept_in(manifest, arguments.lag, scenes.count) or _metered(arguments, simulator, scenes)
         made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
         return _written(target, simulator, scenes, own, arguments.seed, loops, Plans(manifest))

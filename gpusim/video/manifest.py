@@ -20,6 +20,7 @@ except ImportError:  # Windows
 PARTS = ".parts"  # suffix of a folder of what is not complete
 SECONDS = 1.0  # after which the names of plans are kept, or at the end of a segment
 SHOWN = 3  # names of plans, in a message
+LARGEST = 2**26  # [byte] of a manifest
 ENDS = 2**16  # [byte] of a file that tell it from another of its size
 
 
@@ -58,12 +59,12 @@ def _keep(path, made, outputs):
             except OSError:
                 pass  # a file system without links: the last one writes it
     try:
-        found = json.loads(read_text(path, "a manifest of a video", 2**26))
+        found = json.loads(read_text(path, "a manifest of a video", LARGEST))
         others = [name for name in made if found.get(name) != made[name]]
         named = [name for one in others for name in (
             [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
             if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:  # RecursionError: of JSON, lists in lists
         raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
     if others:
         raise BadFile(path, f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}")
