@@ -7,7 +7,7 @@ What is taken for true:
 - Between samples the scene is band-limited: views and distortion take it from there. It goes on as the border says.
 - Nearer things hide farther ones. A picture with depth does not show what they hide, so there are two answers: all
   spread without hiding, and composed of layers behind which the picture goes on.
-- Spectra of the scene are cubic splines between its wavelengths; light, filters and quantum efficiency are as tabulated.
+- Spectra of the scene are cubic splines between its wavelengths; light, filters and efficiencies are as tabulated.
 Each open question gives one more answer; a frame errs by its distance from the interval between them.
 """
 
@@ -18,9 +18,8 @@ import numpy as np
 import scipy.fft
 import triple_brute as brute
 from scipy.ndimage import distance_transform_edt
-from scipy.special import erf
-from triple_geometry import AROUND, axis_of, band_limited, channel_weights, distorted, falloff
-from triple_pupils import chords, spreads, zernike
+from triple_geometry import AROUND, band_limited, channel_weights, distorted, falloff
+from triple_lens import Lens, apertures, edges, kernels, measured_kernels, steepest, tail
 
 from gpusim.domain.errors import OutOfRange
 
@@ -99,115 +98,6 @@ def seen_by_view(scene, planes):
     y, x = np.meshgrid(y, x, indexing="ij")
     down, across = cos * y + sin * x + ratio * view.shift[0], cos * x - sin * y + ratio * view.shift[1]
     return band_limited(planes, down, across, scene.border)
-
-
-@dataclass(frozen=True, eq=False)
-class Lens:
-    """Spreads of light by a camera's lens, in samples.
-
-    axis, corner: of the field [pixel]. shape: of the frame.
-    """
-
-    scene: object
-    camera: object
-
-    @property
-    def varies(self):
-        """Whether the spread depends on the place."""
-        optics = self.camera.optics
-        return optics.varies
-
-    def place(self, rows, cols):
-        """Field point (y, x) of samples, 1 the corner's distance from the frame's middle; from the optical axis."""
-        scene, ratio = self.scene, self.scene.samples_per_pixel
-        axis, corner = axis_of(scene, self.camera), np.hypot(*scene.shape) / 2
-        middle = [(n - 1) / 2 for n in scene.content.shape]
-        return ((rows - middle[0]) / ratio - axis[0]) / corner, ((cols - middle[1]) / ratio - axis[1]) / corner
-
-    def q(self, wavelength):
-        """Wavelength times f-number over the distance of samples."""
-        pitch = self.camera.sensor.pixel_pitch / self.scene.samples_per_pixel
-        return wavelength * 1e-9 * self.camera.optics.working_f_number / pitch
-
-    def waves(self, wavelength, y, x, distance):
-        """The wavefront at a field point and distance, a function of (u, v) [waves]; and its steepest slope."""
-        optics, scene = self.camera.optics, self.scene
-        own, height, angle = optics.wavefront, np.hypot(y, x), np.arctan2(y, x)
-        zernikes = np.array(own.zernike)
-        if own.heights:
-            zernikes = np.array([np.interp(height, own.heights, column) for column in zernikes.T])
-        shift = optics.defocus if isinstance(optics.defocus, float) else float(np.interp(
-            wavelength, optics.defocus.wavelengths, optics.defocus.values))
-        if distance is not None:
-            shift += (1 / optics.object_distance - 1 / distance) * optics.image_distance**2
-        focus = shift / (8 * optics.working_f_number**2 * wavelength * 1e-9)
-        colour = optics.lateral_color
-        colour = colour if isinstance(colour, float) else float(np.interp(
-            wavelength, colour.wavelengths, colour.values))
-        # a tilt that moves the image by colour times the place: rays meet it at -2 q grad W
-        corner = np.hypot(*scene.shape) / 2 * scene.samples_per_pixel
-        tilt = [-colour * corner * at / (2 * self.q(wavelength)) for at in (y, x)]
-        w040, w131, w222, w220, w311 = own.seidel
-        scale, cos, sin = own.reference / wavelength, np.cos(angle), np.sin(angle)
-
-        def waves(u, v):
-            along, across, square = u * cos + v * sin, v * cos - u * sin, u * u + v * v
-            total = (w040 * square**2 + w131 * height * square * along + w222 * height**2 * along**2
-                     + w220 * height**2 * square + w311 * height**3 * along)
-            for number, weight in enumerate(zernikes, 1):
-                if weight and number > 1:
-                    total = total + weight * zernike(number, along, across)
-            return scale * total + focus * square + tilt[0] * v + tilt[1] * u
-
-        return waves
-
-
-def steepest(waves) -> float:
-    """Largest slope of a wavefront over the disc [waves per radius]."""
-    u, v = np.meshgrid(*[np.linspace(-1, 1, 33)] * 2)
-    slopes = np.gradient(waves(u, v), u[0, 1] - u[0, 0])
-    return float(np.hypot(*slopes)[np.hypot(u, v) <= 1.05].max())
-
-
-def apertures(scene, camera):
-    """Width of the pixels' apertures and their phase on the samples [sample], and the first pixel's place."""
-    ratio, sensor = scene.samples_per_pixel, camera.sensor
-    width = tuple(ratio * one / sensor.pixel_pitch for one in sensor.aperture)
-    first = [scene.margin + (have - 2 * scene.margin - ratio * n) / 2 // 1 + ratio * (0.5 + move) - 0.5
-             for have, n, move in zip(scene.content.shape, scene.shape, sensor.displacement, strict=True)]
-    return width, tuple(float(one % 1) for one in first), [int(np.floor(one)) for one in first]
-
-
-def kernels(lens, wavelength, points, reach):
-    """Light that apertures get of a point at each of (y, x, distance), (2 reach + 1, 2 reach + 1), one by one."""
-    scene, camera = lens.scene, lens.camera
-    optics = camera.optics
-    width, phase, _ = apertures(scene, camera)
-    pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
-    q = lens.q(wavelength)
-    at, fine = brute.fine_grid(q, reach)
-    waves = [lens.waves(wavelength, *point) for point in points]
-    rule = chords(optics.pupil, np.abs(at).max() / (2 * q) + max(map(steepest, waves)))
-    extra = brute.Spread(q, apart=tuple(one / pitch for one in optics.birefringence), diffused=optics.diffuser / pitch)
-    for values in spreads(rule, q, waves, at):
-        yield brute.apertured(values, fine, reach, width, phase, extra)
-
-
-def measured_kernels(lens, wavelength, places, reach):
-    """The same of a lens whose point spreads are mixtures of Gaussians: `blobs` gives them at a field point."""
-    scene, camera = lens.scene, lens.camera
-    width, phase, _ = apertures(scene, camera)
-    pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
-    whole = np.arange(-reach, reach + 1)
-    for y, x in places:
-        total = 0.0
-        for weight, down, across, sigma in camera.optics.psf.blobs(wavelength, y, x):
-            sides = []
-            for d, w, at in zip((down, across), width, phase, strict=True):
-                edge = (whole + at - d / pitch)[:, None] + np.array([-w, w]) / 2
-                sides.append(np.diff(erf(edge / (np.sqrt(2) * sigma / pitch)), axis=1)[:, 0] / (2 * w))
-            total = total + weight * np.outer(*sides)
-        yield total
 
 
 def reach_of(lens, planes) -> int:
@@ -422,25 +312,6 @@ def gathered_one_by_one(lens, wavelength, world, reach):
     for (y, x), kernel in zip(places, measured_kernels(lens, wavelength, places.values(), reach), strict=True):
         out[y : y + 2 * reach + 1, x : x + 2 * reach + 1] += world[y, x] * kernel
     return out[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
-
-
-def tail(lens, wavelength, reach) -> float:
-    """Light of a point beyond a square of half-width `reach`."""
-    if lens.camera.optics.model == "measured":
-        return 0.0
-    return sum(part * brute.energy_beyond(replace(of, q=lens.q(wavelength)), reach) for part, of in edges(lens))
-
-
-def edges(lens):
-    """What throws light afar: the outline's edges and the obstruction's, each as a Spread and its share."""
-    pupil = lens.camera.optics.pupil
-    if not pupil.blades:
-        return [(1.0, brute.Spread(1.0, hole=pupil.obscuration))]
-    n, hole = pupil.blades, pupil.obscuration
-    polygon = n / 2 * np.sin(2 * np.pi / n)
-    area = polygon - np.pi * hole**2
-    return [(polygon / area, brute.Spread(1.0, blades=n, turned=pupil.rotation)),
-            (np.pi * hole / area, brute.Spread(1.0))][: 2 if hole else 1]
 
 
 def far(lens, afar, reach, scene, more, first):
