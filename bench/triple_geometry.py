@@ -14,20 +14,25 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.domain.errors import OutOfRange
 
-FINER, AROUND = 6, 48  # of the band-limited scene: finer by so much, with so many samples around
+FINER, AROUND, FADE = 6, 48, 40  # of the band-limited scene: finer by so much; samples around, that fade to the mean
 
 
 def band_limited(planes, down, across, border):
     """Values of samples at places from their middle, between samples the waves that these determine."""
-    around = [ceil(max(AROUND, np.abs(at).max() - (n - 1) / 2 + 16)) for at, n in
-              zip((down, across), planes.shape[1:], strict=True)]
+    around = [ceil(max(AROUND / 2, np.abs(at).max() - (n - 1) / 2) + 1.2 * FADE) 
+              for at, n in zip((down, across), planes.shape[1:], strict=True)]
     wide = np.pad(planes, ((0, 0), *((n, n) for n in around)), mode=brute.MODES[border])
-    wide = np.pad(wide, ((0, 0), *((0, n) for n in wide.shape[1:])), mode="symmetric")  # no step where it repeats
+    wide = np.pad(wide, ((0, 0), *((0, n % 2) for n in wide.shape[1:])), mode="edge")
     rows, cols = wide.shape[1:]
+    for axis, n in ((1, rows), (2, cols)):  # no step where it repeats
+        left = np.minimum(np.arange(n), np.arange(n)[::-1]) / FADE
+        fade = np.where(left < 1, left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3), 1).reshape(-1, *[1] * (2 - axis))
+        mean = wide.mean(axis=axis, keepdims=True)
+        wide = mean + (wide - mean) * fade
     fine, half = np.zeros((FINER * rows, FINER * cols // 2 + 1), complex), cols // 2  # both lengths are even
     places = [FINER * (at + (n - 1) / 2 + more) for at, n, more in
               zip((down, across), planes.shape[1:], around, strict=True)]
-    found = []
+    found, (wide, back) = [], few(wide)
     for plane in wide:
         spectrum = scipy.fft.rfft2(plane)
         spectrum[rows // 2] = spectrum[:, half] = 0
@@ -35,7 +40,14 @@ def band_limited(planes, down, across, border):
         values = scipy.fft.irfft2(fine, (FINER * rows, FINER * cols)) * FINER**2
         found.append(map_coordinates(spline_filter(values, 5, mode="grid-wrap"), places, order=5, mode="grid-wrap",
                                      prefilter=False))
-    return np.stack(found)
+    return np.tensordot(back, np.stack(found), 1)
+
+
+def few(planes):
+    """As few planes as span these, and the matrix (L, n) that gives them back."""
+    left, sizes, right = np.linalg.svd(planes.reshape(len(planes), -1), full_matrices=False)
+    rank = max(1, int((sizes > 1e-8 * sizes[0]).sum()))
+    return right[:rank].reshape(rank, *planes.shape[1:]), left[:, :rank] * sizes[:rank]
 
 
 def displace(distortion, x, y):

@@ -3,7 +3,7 @@
 Of a pupil by sums over its chords, of measured lenses by the Gaussians that they are mixtures of.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import triple_brute as brute
@@ -16,11 +16,12 @@ from triple_pupils import chords, spreads, zernike
 class Lens:
     """Spreads of light by a camera's lens, in samples.
 
-    axis, corner: of the field [pixel]. shape: of the frame.
+    known: kernels that were made.
     """
 
     scene: object
     camera: object
+    known: dict = field(default_factory=dict)
 
     @property
     def varies(self):
@@ -97,9 +98,17 @@ def kernels(lens, wavelength, points, reach):
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     q = lens.q(wavelength)
     at, fine = brute.fine_grid(q, reach)
-    waves = [lens.waves(wavelength, *point) for point in points]
-    rule = chords(optics.pupil, np.abs(at).max() / (2 * q) + max(map(steepest, waves)))
     extra = brute.Spread(q, apart=tuple(one / pitch for one in optics.birefringence), diffused=optics.diffuser / pitch)
+    waves = [lens.waves(wavelength, *point) for point in points]
+    own = optics.wavefront
+    if not (optics.pupil.blades or optics.varies or own.zernike):  # round
+        u, of = np.array([0.0, 0.5, 1.0]), waves[0]
+        w040 = own.seidel[0] * own.reference / wavelength
+        round_ = brute.Spread(q, float(of(u, 0 * u)[2] - w040), w040, optics.pupil.obscuration)
+        values = brute.round_spread(round_, reach + 4 + 2 / q)(np.hypot(at[:, None], at))
+        yield brute.apertured(values, fine, reach, width, phase, extra)
+        return
+    rule = chords(optics.pupil, np.abs(at).max() / (2 * q) + max(map(steepest, waves)))
     for values in spreads(rule, q, waves, at):
         yield brute.apertured(values, fine, reach, width, phase, extra)
 

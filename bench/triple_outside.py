@@ -18,7 +18,7 @@ import numpy as np
 import scipy.fft
 import triple_brute as brute
 from scipy.ndimage import distance_transform_edt
-from triple_geometry import AROUND, band_limited, channel_weights, distorted, falloff
+from triple_geometry import AROUND, band_limited, channel_weights, distorted, falloff, few
 from triple_lens import Lens, apertures, edges, kernels, measured_kernels, steepest, tail
 
 from gpusim.domain.errors import OutOfRange
@@ -49,7 +49,7 @@ class Answers:
 def answers(scene, camera, seconds: float) -> Answers:
     """What a camera sees of a scene. Raises OutOfRange where these sums do not say it."""
     require(scene, camera)
-    planes = [brute.spectra(scene.content, band) for band in range(len(scene.wavelengths))]
+    planes = [spectra(scene.content, band) for band in range(len(scene.wavelengths))]
     worlds, rim = [np.stack(planes)], 0
     if not scene.view.is_plain:
         worlds = [seen_by_view(scene, worlds[0])]
@@ -59,20 +59,29 @@ def answers(scene, camera, seconds: float) -> Answers:
     if scene.depth is not None and camera.optics.distortion is not None:
         scene, worlds = flat_depth(scene, camera, worlds[0])
     means = []
+    lens = Lens(scene, camera)
     for world in worlds:
         more = (np.array(world.shape[1:]) - scene.content.shape) // 2
         for kind in ("spread", "layers") if scene.depth is not None else ("spread",):
-            means.append(exposed(rates(scene, camera, world, int(more[0]), kind), scene, camera, seconds))
+            means.append(exposed(rates(lens, world, int(more[0]), kind), scene, camera, seconds))
     return Answers(means, min(rim, (min(scene.shape) - 1) // 3))
 
 
 def flat_depth(scene, camera, _world):
     """A scene with depth as the lens displaces it: one picture, whose samples have the distance of the nearest one."""
-    planes = np.stack([brute.spectra(scene.content, band) for band in range(len(scene.wavelengths))])
+    planes = np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
     (light, _, depth), = sheets_of(scene, planes, "spread")
     flat = replace(scene, layers=(), depth=depth)
     return replace(flat, depth=distorted(flat, camera, depth[None], 0, order=0)[0]), [distorted(
         flat, camera, light, 0)]
+
+
+def spectra(content, band) -> np.ndarray:
+    """A band of a content, float64 (rows, cols)."""
+    if content.form != "illuminated":
+        return brute.spectra(content, band)
+    surfaces = np.tensordot(content.basis[:, band], content.coefficients.astype(np.float64), 1)
+    return surfaces * np.tensordot(content.lights[:, band], content.maps.astype(np.float64), 1)
 
 
 def require(scene, camera):
@@ -154,7 +163,7 @@ def sheets_of(scene, planes, kind):
         return [(planes, whole, None)]
     found = []
     for layer in scene.layers:
-        light = np.stack([brute.spectra(layer.content, band) for band in range(len(planes))])
+        light = np.stack([spectra(layer.content, band) for band in range(len(planes))])
         found.append((light, np.asarray(layer.alpha, float), np.broadcast_to(layer.depth, shape)))
     behind = planes, whole, np.asarray(scene.depth, float)
     if kind == "layers" and scene.layers:
@@ -191,13 +200,14 @@ def by_distance(distances):
     return found
 
 
-def rates(scene, camera, planes, more, kind) -> np.ndarray:
+def rates(lens, planes, more, kind) -> np.ndarray:
     """Electrons per second of every channel at every pixel, before the fall-off, (C, rows, cols).
 
     more: samples on each side that `planes` have beyond the scene's.
     """
+    scene, camera = lens.scene, lens.camera
     weights = channel_weights(scene, camera)
-    lens, total = Lens(scene, camera), np.zeros((len(weights), *scene.shape))
+    total = np.zeros((len(weights), *scene.shape))
     ratio = int(scene.samples_per_pixel)
     width, _, first = apertures(scene, camera)
     room = ceil(ratio * max(map(abs, camera.sensor.displacement))) + 1  # pixels beyond the outermost samples
@@ -250,8 +260,12 @@ class Spread:
             return np.zeros([n - 2 * reach for n in world.shape])
         if measured and self.lens.varies:
             return gathered_one_by_one(self.lens, self.wavelength, world, reach)
-        made = (measured_kernels(self.lens, self.wavelength, self.points, reach) if measured else kernels(
-            self.lens, self.wavelength, [(*point, distance) for point in self.points], reach))
+        key = self.wavelength, distance, reach
+        if key not in self.lens.known:
+            places = [(*point, distance) for point in self.points]
+            self.lens.known[key] = list(measured_kernels(self.lens, self.wavelength, self.points, reach) if measured
+                                        else kernels(self.lens, self.wavelength, places, reach))
+        made = self.lens.known[key]
         size = [scipy.fft.next_fast_len(n + 2 * reach, real=True) for n in world.shape]
         total, beyond, alone = 0.0, [], tail(self.lens, self.wavelength, reach)
         for kernel, share in zip(made, self.shares, strict=True):
@@ -289,10 +303,8 @@ def sheets_afar(lens, sheets, reach, room):
     if lens.camera.optics.model == "measured":
         return [(np.zeros(len(sheets[0][0])), 0.0)] * len(sheets)
     for light, alpha, _ in sheets:
-        left, sizes, planes = np.linalg.svd((light * alpha).reshape(len(light), -1), full_matrices=False)
-        rank = max(1, int((sizes > 1e-7 * sizes[0]).sum()))
+        planes, mixes = few(light * alpha)
         places = [np.arange(-room, n + room, dtype=float) for n in alpha.shape]
-        planes, mixes = planes[:rank].reshape(rank, *alpha.shape), left[:, :rank] * sizes[:rank]
         more, cover = (sum(part * brute.from_afar(one, of, reach, border if border != "zero" or is_light else "edge",
                                                   *places) for part, of in edges(lens))
                        for one, is_light in ((planes, True), (alpha[None], False)))

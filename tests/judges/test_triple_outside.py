@@ -141,3 +141,11 @@ def test_a_question_is_judged():
     row, = judge.asked(34013, kinds="combined", device="numpy", limit=100)
     assert row["status"] == "ok" and row["within"] is not None
     json.dumps(row["features"])
+
+
+def test_surfaces_in_several_lights_are_products():
+    maps, parts, basis, lights = (np.random.default_rng(0).random(shape).astype(np.float32) for shape in (
+        (2, 3, 5), (3, 3, 5), (3, 4), (2, 4)))
+    content = gs.Illuminated(NODES, maps, parts, basis, lights)
+    wanted = np.einsum("kyx,kl,jyx,jl->lyx", maps, lights, parts, basis)
+    np.testing.assert_allclose([outside.spectra(content, band) for band in range(4)], wanted, rtol=1e-6)
