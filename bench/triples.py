@@ -44,6 +44,7 @@ def main():
     made.add_argument("--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside")
     made.add_argument("--limit", type=count, default=triple_judge.LIMIT, metavar="SECONDS",
                       help=f"for a question of --kinds (default: {triple_judge.LIMIT})")
+    made.add_argument("--only-met", action="store_true", help="with --kinds: judge the frames alone that are called met")
     made.add_argument("--half", choices=HALVES, default="development", help="which seeds (default: development)")
     made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
     made.add_argument("--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none")
@@ -82,7 +83,7 @@ def ask_kinds(arguments):
     device, old = ready(arguments, "triples")
     seeds = sorted(chosen(arguments.seeds, triple_judge.KINDS[arguments.kinds]))
     ask = partial(triple_judge.asked, kinds=arguments.kinds, device=device.name, data=arguments.data,
-                  limit=arguments.limit)
+                  limit=arguments.limit, only_met=arguments.only_met)
     rows = run(ask, seeds, arguments.jobs, kept=arguments.json and Path(f"{arguments.json}.rows"),
                words=triple_judge.line, apart=triple_judge.run)
     print(triple_judge.summary(rows))
