@@ -19,14 +19,15 @@ FINER, AROUND, FADE = 6, 48, 40  # of the band-limited scene: finer by so much; 
 
 def band_limited(planes, down, across, border):
     """Values of samples at places from their middle, between samples the waves that these determine."""
-    around = [ceil(max(AROUND / 2, np.abs(at).max() - (n - 1) / 2) + 1.2 * FADE) 
+    around = [ceil(max(AROUND / 2, np.abs(at).max() - (n - 1) / 2) + 1.2 * FADE)
               for at, n in zip((down, across), planes.shape[1:], strict=True)]
     wide = np.pad(planes, ((0, 0), *((n, n) for n in around)), mode=brute.MODES[border])
     wide = np.pad(wide, ((0, 0), *((0, n % 2) for n in wide.shape[1:])), mode="edge")
     rows, cols = wide.shape[1:]
     for axis, n in ((1, rows), (2, cols)):  # no step where it repeats
         left = np.minimum(np.arange(n), np.arange(n)[::-1]) / FADE
-        fade = np.where(left < 1, left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3), 1).reshape(-1, *[1] * (2 - axis))
+        fade = np.where(
+            left < 1, left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3), 1).reshape(-1, *[1] * (2 - axis))
         mean = wide.mean(axis=axis, keepdims=True)
         wide = mean + (wide - mean) * fade
     fine, half = np.zeros((FINER * rows, FINER * cols // 2 + 1), complex), cols // 2  # both lengths are even

@@ -44,7 +44,7 @@ def main():
     made.add_argument("--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside")
     made.add_argument("--limit", type=count, default=triple_judge.LIMIT, metavar="SECONDS",
                       help=f"for a question of --kinds (default: {triple_judge.LIMIT})")
-    made.add_argument("--only-met", action="store_true", help="with --kinds: judge the frames alone that are called met")
+    made.add_argument("--only-met", action="store_true", help="with --kinds: judge only frames called met")
     made.add_argument("--half", choices=HALVES, default="development", help="which seeds (default: development)")
     made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
     made.add_argument("--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none")
