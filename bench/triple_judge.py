@@ -29,7 +29,7 @@ from gpusim.report import Error
 KINDS = {"old": triple_mixed.OLD, "combined": triple_mixed.MIXED}
 LIMIT = 150  # [s] for a question
 JUST = 0.98  # of the planner's own limit at which a tolerance "near" is put
-SURE = 3e-5, 1e-6  # of a pixel's light, and of the frame's: to what the sums from outside are sure
+SURE = 1e-6  # of the frame's light: to what the sums from outside are sure, besides a share of each pixel's
 SLOW = 10  # plans that are listed
 
 
@@ -117,7 +117,7 @@ def _outside(question, seconds, mean, tolerance):
         return {"within": None, "why": str(reason)[:160]}
     off, true = found.distance(mean)
     size = float(np.sqrt(np.mean(true**2)))
-    sure = np.maximum(off - SURE[0] * true - SURE[1] * size, 0)
+    sure = np.maximum(off - found.sure * true - SURE * size, 0)
     read = question.camera.sensor.read_sigma
     raw, least = Error.between(true + off, true, read), Error.between(true + sure, true, read)
     return {"within": least.meets(tolerance), "nearest": raw.nearest(tolerance)[1],
