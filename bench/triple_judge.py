@@ -120,7 +120,9 @@ def _outside(question, seconds, mean, tolerance):
     sure = np.maximum(off - found.sure * true - SURE * size, 0)
     read = question.camera.sensor.read_sigma
     raw, least = Error.between(true + off, true, read), Error.between(true + sure, true, read)
-    return {"within": least.meets(tolerance), "nearest": raw.nearest(tolerance)[1],
+    is_open = not raw.meets(tolerance) and least.meets(tolerance)
+    return {"within": None if is_open else raw.meets(tolerance), "why": "beyond by less than these sums are sure of",
+            "nearest": raw.nearest(tolerance)[1],
             "over": raw.nearest(tolerance)[0], "true": {"rms": raw.rms, "p999_sigma": raw.p999_sigma,
                                                         "max_sigma": raw.max_sigma},
             "answers": len(found.means), "truth_s": time.process_time() - began,
