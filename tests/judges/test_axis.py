@@ -11,7 +11,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 
-ROWS, COLS, MORE = 64, 88, 40  # the wide frame has MORE columns on the right, so the axis is MORE / 2 right of the middle
+ROWS, COLS, MORE = 64, 88, 40  # the wide frame has MORE columns on the right: the axis is MORE / 2 off
 INNER = np.s_[10:-10, 10:-18]  # what the border of either frame does not reach
 # Wavefront of the wide frame [waves] at its corner, and the power of the field height with which each term grows
 SEIDEL = {"coma": ((0, 1.0, 0, 0, 0), 1), "astigmatism": ((0, 0, 1.0, 0, 0), 2), "displacement": ((0, 0, 0, 0, 1.0), 3)}
@@ -78,7 +78,8 @@ def test_microlenses_follow_the_axis():
         optics = replace(camera.optics, relative_illumination="none", focal_length=camera.optics.focal_length / 20,
                          distortion=gs.Calibration(cols, ROWS, focal, focal, (cols - 1) / 2 + right, (ROWS - 1) / 2))
         lens = Microlens(np.array([0.0, 0.5, 1.5]), np.array([1.0, 0.8, 0.1]))
-        return plan(scene_of(cols), replace(camera, optics=optics, sensor=replace(camera.sensor, microlens=lens))).falloff
+        sensor = replace(camera.sensor, microlens=lens)
+        return plan(scene_of(cols), replace(camera, optics=optics, sensor=sensor)).falloff
 
     wide, off, centred = gains(COLS + MORE, 0)[:, :COLS], gains(COLS, MORE / 2), gains(COLS, 0)
     assert np.abs(off - wide).max() < 1e-12 and np.abs(centred - wide).max() > 1e-3
