@@ -173,3 +173,27 @@ def test_plan_has_three_exit_statuses(tmp_path, capsys):
     assert "cannot be judged: field of view" in capsys.readouterr().out
     assert main([*common, str(camera), "--tolerance", "1e-2", "--fov", "60", "--strict"]) == 2
     assert "cannot be judged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("size", [1, 3, 8])
+def test_light_behind_the_edges_of_layers_is_in_the_account(size):
+    """A sheet in the plane of what it covers, all in focus: the frame must be that of the flat picture."""
+    from gpusim.domain.content import Cube
+    from gpusim.domain.scene import Layer, Scene
+
+    random, wavelengths = np.random.default_rng(2), np.array([450.0, 550.0, 650.0])
+    behind, front = (random.random((3, 64 // size, 96 // size)).repeat(size, 1).repeat(size, 2).astype(np.float32)
+                     for _ in range(2))
+    rows, cols = behind.shape[1:]
+    alpha = np.zeros((rows, cols), np.float32)
+    alpha[:, : cols // 2] = 1
+    light, depth = gs.illuminant("D65"), np.full((rows, cols), 2.0)
+    layers = (Layer(Cube(wavelengths, front), alpha, 2.0),)
+    camera = gs.open_camera("phone").with_(object_distance_m=2.0, exposure_time_ms=5)
+    simulate = gs.Simulator(camera, device="numpy", tolerance=1e-3)
+    layered = simulate.expose(Scene(Cube(wavelengths, behind), light, layers=layers, depth=depth))
+    flat = simulate.expose(Scene(Cube(wavelengths, np.where(alpha > 0, front, behind)), light))
+    error = np.asarray(layered.mean) - np.asarray(flat.mean, np.float64)
+    true = np.sqrt(np.mean(error**2) / np.mean(np.square(flat.mean, dtype=np.float64)))
+    predicted = layered.plan.account.total.rms
+    assert true / 1.5 < predicted < 4 * true and not layered.plan.verdict.met
