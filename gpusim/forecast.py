@@ -42,7 +42,7 @@ class Forecast:
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         plan = self.plan
-        return {"scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
+        return {"plan": plan.name, "scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
                 "models": plan.models, "left_out": plan.left_out,
                 "bounds": {name: bound.as_dict() for name, bound in plan.account.bounds.items()},
                 "predicted": plan.account.total.as_dict(), "beside": plan.beside,
@@ -57,6 +57,7 @@ class Forecast:
                  f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"]
         lines += [f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
                   for stage in [*plan.models, *(stage for stage in self.ms if stage not in plan.models)]]
+        lines.append(f"  plan: {plan.name}")
         lines += [f"  not modelled: {what}" for what in plan.left_out]
         lines += self._errors()
         lines += [f"  beside: {name} {value:.2g}" for name, value in plan.beside.items()]

@@ -74,7 +74,7 @@ class Report(Tabled):
     the scene as sampled. beside: those that are no part of it, such as what the samples leave out. left_out: what was
     not modelled. error: the true error where it was asked for. verdict: whether the tolerance is met by what is
     predicted.
-    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included.
+    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included. plan: its name.
     """
 
     scene: dict
@@ -91,6 +91,7 @@ class Report(Tabled):
     notes: list[str] = field(default_factory=list)
     verdict: Verdict | None = None
     wall_ms: float = 0.0
+    plan: str = ""
 
     @property
     def ms(self) -> float:
@@ -157,5 +158,6 @@ class Report(Tabled):
                            f"predicted {verdict}")
             lines.append(f"  tolerance: {verdict}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
+        lines += [f"  plan: {self.plan}"] * bool(self.plan)
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)

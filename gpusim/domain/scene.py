@@ -9,7 +9,7 @@ from gpusim.domain.brief import brief, shortened
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.shown import Pictured
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, seen_band
 from gpusim.domain.view import View
 
 BORDERS = ("zero", "edge", "reflect", "scene")
@@ -179,4 +179,4 @@ def checked_scene(scene) -> Scene:
 
 def unit_light(wavelengths) -> Spectrum:
     """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
-    return Spectrum(np.asarray(wavelengths)[[0, -1]], np.ones(2), "unknown light")
+    return Spectrum(np.array(seen_band(wavelengths)), np.ones(2), "unknown light")

@@ -51,10 +51,11 @@ def pairs(arguments) -> int:
     from gpusim.backends.probe import made_by
     from gpusim.data.cameras import open_camera
     from gpusim.data.lights import illuminant
+    from gpusim.domain.digest import digest
     from gpusim.pairs.pairs import Pairs, gain_of
     from gpusim.pairs.shards import write_shard
     from gpusim.simulator import Simulator
-    from gpusim.video.manifest import digest, file_digest, kept
+    from gpusim.video.manifest import file_digest, kept
 
     varied = dict(arguments.vary.ranges)
     for name, option in (("exposure", arguments.exposure), ("iso", arguments.iso), ("light", arguments.light),

@@ -22,6 +22,7 @@ from gpusim.planner.probes import Probes
 from gpusim.planner.tables import Kept, Tables
 from gpusim.planner.weights import check_light, electrons_per_content
 
+MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 
 
@@ -65,7 +66,8 @@ class Question:
     def limited(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
         assert self.tolerance is not None
-        return replace(self, limit=1 / (SAFETY * probes.local(1.0).ratio(self.tolerance)))
+        # in the dark no error breaks it
+        return replace(self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT))
 
     @property
     def optics(self) -> Optics:

@@ -97,7 +97,7 @@ def video(arguments) -> int:
     from gpusim.data.cameras import open_camera
     from gpusim.simulator import Simulator
     from gpusim.video.loops import NO_LOOPS, Loops
-    from gpusim.video.manifest import kept
+    from gpusim.video.manifest import Plans, kept
     from gpusim.video.video import within_period
 
     path = Path(arguments.out)
@@ -114,10 +114,10 @@ def video(arguments) -> int:
     target, manifest, made = _target(path, arguments, simulator, scenes, segments)
     loops = NO_LOOPS
     if arguments.lag:
-        loops = Loops.kept_in(manifest) or _metered(arguments, simulator, scenes)
+        loops = Loops.kept_in(manifest, arguments.lag, scenes.count) or _metered(arguments, simulator, scenes)
         made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
-        return _written(target, simulator, scenes, own, arguments.seed, loops)
+        return _written(target, simulator, scenes, own, arguments.seed, loops, Plans(manifest))
 
 
 def _metered(arguments, simulator, scenes):
@@ -131,17 +131,18 @@ def _metered(arguments, simulator, scenes):
                        seed=arguments.seed, seen=bar.update)
 
 
-def _written(target, simulator, scenes, own, seed, loops):
-    """Write what is missing, and say what was done. Returns the exit status."""
+def _written(target, simulator, scenes, own, seed, loops, plans):
+    """Write what is missing, and say what was done; plans: of the manifest. Returns the exit status."""
     from tqdm import tqdm
 
     from gpusim.video.video import EncodedFile
 
     begun, worst, count, states = time.perf_counter(), None, 0, Counter()
-    total = sum(len(segment) for segment in own)
-    with tqdm(total=total, unit="frame", disable=None) as bar:
+    total, ends = sum(len(segment) for segment in own), {segment[-1] for segment in own}
+    with plans, tqdm(total=total, unit="frame", disable=None) as bar:
         for one in target.write(simulator, scenes, own, seed, loops):
             count += 1
+            plans.add(one.plan, one.number, one.number in ends)
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)
             if simulator.tolerance is not None:
@@ -151,7 +152,7 @@ def _written(target, simulator, scenes, own, seed, loops):
     seconds = time.perf_counter() - begun
     if count:
         print(f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s; worst predicted error {worst:.2g} "
-              f"relative rms{describe_verdicts(states)}")
+              f"relative rms{describe_verdicts(states)}; {plans}")
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
@@ -165,11 +166,12 @@ def _target(path, arguments, simulator, scenes, segments):
 
     from gpusim import __version__
     from gpusim.backends.probe import made_by
+    from gpusim.domain.digest import digest
     from gpusim.io.atomic import check_output
     from gpusim.io.frames import FORMATS, check_format
     from gpusim.video.codecs import CODECS, CONTAINERS, Encoder, codec_of
     from gpusim.video.lerobot import Episode
-    from gpusim.video.manifest import digest, file_digest
+    from gpusim.video.manifest import file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
     frames_of = partial(blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames,

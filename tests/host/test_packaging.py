@@ -150,3 +150,19 @@ def test_public_names_exist():
 
     for name in gpusim.__all__:
         assert getattr(gpusim, name) is not None
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_mistake(closed):
+    """What is wrong with the arguments is status 2 whatever is closed; with standard error it is said there."""
+    command = f"{sys.executable} -m gpusim bench --help {closed}; echo status $? >&9"
+    done = subprocess.run(["bash", "-c", f"exec 9>&1; {command}"], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "status 0" and "Traceback" not in done.stderr, done
+
+
+def test_a_checkout_has_its_kernels_without_an_editable_install():
+    """As after `pip install .`: Python in the checkout imports ./gpusim, whose kernels lie beside it."""
+    code = ("import sys; sys.meta_path = [one for one in sys.meta_path if 'editable' not in repr(one)]; "
+            "import gpusim.kernels.stage as one; print(one.__file__)")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert Path(done.stdout.strip()) == ROOT / "kernels" / "stage.py", done.stderr

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.errors import OutOfRange
@@ -36,7 +38,33 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
         except OutOfRange as error:
             raise OutOfRange("depth", f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
                              f"nearer to the focus, or a smaller aperture: {error}") from None
+    if made.sheets:
+        made.predicted["depth, light behind the edges of layers"] = _behind_edges(question, made)
     return made
+
+
+def _behind_edges(question, depth):
+    """Relative RMS error of a product: light behind a layer is blurred as a whole, times what the layer lets through.
+
+    Right is the blur of their product. The two differ by the covariance of light and coverage within the kernel of a
+    circular pupil and the pixel, at the mean wavelength in a mirrored world. Each has first the blur of its own
+    distance, a disc of diameter c: a Gaussian of standard deviation c / 4 stands for it.
+    """
+    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)  # of the cosines of a mirrored world
+    s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
+    seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(fy * question.cell[0]) * np.sinc(
+        fx.T * question.cell[1])
+    light, own, wrong = None, 0.0, 0.0
+    for content, alpha, confusion in reversed(depth.sheets):
+        front, width = content.on_host().brightness(question.light).astype(np.float64), np.abs(confusion).mean() / 4
+        if light is not None:
+            cover, behind = gaussian_filter(np.asarray(alpha, np.float64), width), gaussian_filter(light, own)
+            apart = [idctn(dctn(one) * seen) for one in (cover * behind, cover, behind)]
+            wrong += float(np.mean((apart[0] - apart[1] * apart[2]) ** 2))
+        light = front if light is None else alpha * front + (1 - alpha) * light
+        own = width
+    size = float(np.mean(light**2))
+    return (wrong / size) ** 0.5 if size > 0 else 0.0
 
 
 def _one_distance(question, probes):

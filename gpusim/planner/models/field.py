@@ -4,19 +4,26 @@ import numpy as np
 
 from gpusim.planner.differences import Differences, farthest_corner
 from gpusim.planner.field import FieldBlur, choose, natural_difference
-from gpusim.planner.fusion import Response, channel_operator, joint_operator
+from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
 MOST_PLANES = 6  # a channel, of a field-varying blur
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
+# beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
+WIDEST_Q = 24.0
+WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
 def doubt_of(question: Question) -> str:
-    """Why errors that are predicted are not sure: a lens that varies within its kernels; "" for others."""
-    return DOUBT if question.is_blurred and question.optics.varies and min(question.size) < SMALL else ""
+    """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
+    if not question.is_blurred:
+        return ""
+    if question.optics.varies and min(question.size) < SMALL:
+        return DOUBT
+    return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
 
 def varying_planes(question: Question, response: Response, prior, flat):
@@ -34,8 +41,8 @@ def varying_planes(question: Question, response: Response, prior, flat):
     differences = spectra.differences
     if question.scene.border == "zero":  # the frame's outline is an edge, too
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
-    strength = np.sqrt(np.einsum("kl,lm,km->k", table, differences, table))
-    whole = np.sqrt(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat))
+    strength = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, differences, table), 0))
+    whole = np.sqrt(np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0))
     strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()

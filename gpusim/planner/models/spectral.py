@@ -8,6 +8,7 @@ import numpy as np
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
+from gpusim.domain.spectrum import LINE
 from gpusim.planner.drift import Watch, wrong_moments
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
@@ -16,7 +17,7 @@ from gpusim.planner.models.highlights import Picture
 from gpusim.planner.models.sampling import taps_of
 from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.operation import Operation
-from gpusim.planner.probes import COUNT, LEAST_WINDOWS, RIM, SIDE, Probes
+from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
@@ -103,6 +104,9 @@ def _varying(question, even, flat, probes):
 def describe_unseen(question: Question, notes: Notes):
     """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
+    if len(nodes) == 1:
+        notes.leave_out(f"light outside {LINE:g} nm around the scene's only wavelength, {nodes[0]:g} nm", DECLARED)
+        return
     unseen = qe.wavelengths[(qe.values > 0.01).any(axis=0)]
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
         notes.leave_out(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
@@ -186,7 +190,20 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
     tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
     return Probes.of(question.facts, windows, scene.border, tables=tables,
                      weights=question.weights, even=question.weights / flat, share=question.share,
-                     level=picture.level, seconds=operation.seconds, noise=operation.noise)
+                     level=picture.level, seconds=operation.seconds, noise=operation.noise,
+                     apart=picture.mosaic(question.weights, question.share),
+                     **_seen_part(question, windows))
+
+
+def _seen_part(question, windows):
+    """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
+    scene, sensor = question.scene, question.sensor
+    inner = tuple(min(n, INNER) for n in scene.samples)
+    if sensor.stacked or question.ratio != 1:
+        return {"inner": inner}
+    y, x = (at[:, RIM : RIM + n] - scene.margin for at, n in zip((windows.rows, windows.cols), inner, strict=True))
+    cfa = sensor.cfa_indices
+    return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
 
 def response_of(question: Question, even, flat) -> Response:
