@@ -46,8 +46,8 @@ def require_truth(camera, scene):
         if is_so:
             raise OutOfRange("verify", what, allowed)
     if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
-        raise OutOfRange("verify", "point spreads measured about the frame's middle, with the axis {:.3g}, {:.3g} pixels "
-                         "off it".format(*axis), "an axis in the middle")
+        raise OutOfRange("verify", "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
+                         "middle".format(*axis), "an axis in the middle")
 
 
 def true_error(simulator, scene, exposure) -> Error:

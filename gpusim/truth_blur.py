@@ -1,4 +1,4 @@
-"""The truth's blur where it is the same all over the field: every wavelength by itself, in a world without end, float64.
+"""The truth's blur where it is the same all over the field: every wavelength, in a world without end, float64.
 
 Samples are points of light, and an even scene gives even pixels. A mirrored world repeats itself every two frames, and
 so does a transform of that length, exactly. Any other is transformed with REACH samples around the frame; what lies
