@@ -14,9 +14,9 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import framed, ideal
 from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
 
-# Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-8.
+# Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
-TAPS = 8
+TAPS = 10
 SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
 MODES = {"zero": "constant", "edge": "edge", "scene": "edge", "reflect": "symmetric"}
 RIM, FARTHEST = 32, 512  # [sample] around the scene that take part in the series, beside those that are shown, at most
@@ -75,16 +75,16 @@ def _most_samples(source, y, x):
 
 def band_limited(planes, y, x, border: str) -> np.ndarray:
     """Values of planes (L, rows, cols) at places (y, x) [sample], of one shape, between and beyond the samples."""
-    rim = [int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
+    rim = [0 if border == "reflect" else int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
            for at, n in zip((y, x), planes.shape[1:], strict=True)]
     lengths = [2 * (n + 2 * more) for n, more in zip(planes.shape[1:], rim, strict=True)]
     taps, inside = [], np.ones(np.shape(y), bool)
     for at, n, more, length in zip((y, x), planes.shape[1:], rim, lengths, strict=True):
-        if border == "reflect":
-            at = np.abs((at + 0.5 + n) % (2 * n) - n) - 0.5
-        elif border == "zero":
+        if border == "zero":
             inside &= (at > -more) & (at < n - 1 + more)
-        at = 2 * (np.clip(at, -more, n - 1 + more) + more)
+        if border != "reflect":  # of a mirrored world the series is itself
+            at = np.clip(at, -more, n - 1 + more)
+        at = 2 * (at + more)
         first = np.ceil(at - TAPS / 2).astype(int)
         taps.append([((first + k) % (2 * length), _kernel(at - first - k)) for k in range(TAPS)])
     series = [_kernel_transform(np.fft.fftfreq(length, 1 / length) / (2 * length)) for length in lengths]
