@@ -1,10 +1,12 @@
 """OpenCL devices: PoCL on CPUs, any vendor's GPU."""
 
+import os
 import sqlite3
 import sys
 import time
+import weakref
 from collections import defaultdict, deque
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import prod
 from pathlib import Path
 
@@ -25,6 +27,7 @@ REFUSALS = ("MEM_OBJECT_ALLOCATION_FAILURE", "OUT_OF_RESOURCES", "OUT_OF_HOST_ME
 # Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead per group, then what
 # remains. PoCL compiles a kernel for every size of a group, 50 ms each: so there are few.
 CPU_GROUPS = (128, 8, 1)
+LAST = 60  # [s] that the end of a process waits for a thread that launches something
 
 
 class OpenCLDevice(Taped):
@@ -59,6 +62,8 @@ class OpenCLDevice(Taped):
         self._sent: deque = deque()  # small copies to the device that may not have ended
         self._in_flight: list = []  # host memory of queued kernels must outlive them, even if the caller drops it
         self.build_ms: dict[str, float] = {}  # per stage: what building its programs took
+        # Python frees arrays in any order when it ends, and with the device: the driver must not write to them then
+        weakref.finalize(self, finish, self._lock, (*self._queues, self._copies), os.getpid())
 
     @property
     def memory(self):
@@ -312,6 +317,19 @@ class OpenCLDevice(Taped):
         for stage, event in clock.events:
             clock.times[stage] += 1e-6 * (event.profile.end - event.profile.start)
         clock.events.clear()
+
+
+def finish(lock, queues, process: int):
+    """Wait for everything that was launched, and let no other thread launch more: a device or the process ends.
+
+    process: that the queues are of; those of a forked one do not work.
+    """
+    if os.getpid() != process:
+        return
+    lock.acquire(timeout=LAST)  # for good; a thread that hangs in its driver keeps it
+    for queue in filter(None, queues):
+        with suppress(Exception):  # of a driver that has failed: there is no work left
+            queue.finish()
 
 
 def pyopencl():

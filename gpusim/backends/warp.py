@@ -1,10 +1,9 @@
 """Warp devices: CUDA GPUs, and the CPU (one thread) for equivalence and debugging."""
 
-import ctypes
-import functools
 import os
 import shutil
 import sys
+import threading
 import time
 from collections import defaultdict
 from contextlib import contextmanager
@@ -15,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.caches import is_writable, lent_folder
-from gpusim.backends.device import Transfer
 from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
+from gpusim.backends.warp_arrays import array_class, mark_in, ordinal_of, wait_for
+from gpusim.backends.warp_commands import Arriving, Command, Copy
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
 from gpusim.domain.memory import Pinned
@@ -48,107 +48,16 @@ def started_warp():
     return wp
 
 
-@functools.cache
-def array_class(wp):
-    """Warp's array with more of what NumPy's have: its own refuses `np.asarray` in CUDA memory, and empty slices."""
-
-    class WarpArray(wp.array):
-        def __array__(self, dtype=None, copy=None):  # in host memory NumPy takes `__array_interface__`
-            if self.device.is_cuda and copy is False:
-                raise ValueError(f"the values of an array of warp:{self.device} cannot be had without a copy")
-            return np.array(self.numpy(), dtype, copy=None if self.device.is_cuda else copy)
-
-        def __getitem__(self, key):
-            if isinstance(key, slice):
-                start, stop, step = key.indices(len(self))
-                if step < 0 or stop <= start:  # Warp has no such views
-                    return as_shown(wp.array(self.numpy()[key], dtype=self.dtype, device=self.device))
-                key = slice(start, stop, step)
-            elif hasattr(key, "__index__"):
-                if not -len(self) <= key.__index__() < len(self):  # which also ends a loop over the array
-                    raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
-                key = key.__index__()
-            return as_shown(super().__getitem__(key))
-
-        def reshape(self, shape):
-            return as_shown(super().reshape(shape))
-
-    def as_shown(array):
-        array.__class__ = WarpArray
-        return array
-
-    WarpArray.of = staticmethod(as_shown)
-    return WarpArray
-
-
+_building = threading.RLock()  # Warp's modules are shared by all devices, and built by one thread at a time
 REFUSALS = "Failed to allocate", "out of memory"  # of memory, in Warp's words and CUDA's
 
 
-class _Command:
-    """A launch with its arguments packed. stage: that is charged. name: of the kernel."""
-
-    def __init__(self, device, stage, name, launch, args):
-        self.device, self.stage, self.name, self.launch, self.args = device, stage, name, launch, args
-        for index in range(len(args)):
-            self._own(index + 1)
-
-    def _own(self, place):
-        """Pack an array for this launch alone: Warp packs it once for all launches, and `set` writes there."""
-        params, addresses = self.launch.params, self.launch.params_addr
-        if isinstance(params[place], ctypes.Structure):
-            params[place] = type(params[place]).from_buffer_copy(params[place])
-            if addresses:
-                addresses[place] = ctypes.c_void_p(ctypes.addressof(params[place]))
-
-    def set(self, args):
-        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
-            if new is old or (isinstance(new, int | float | np.number) and new == old):
-                continue
-            packed = self.launch.params[index + 1]
-            if isinstance(new, int | float | np.number):
-                packed.value = new
-            elif new.shape == old.shape and new.dtype == old.dtype and new.is_contiguous and old.is_contiguous:
-                packed.data = new.ptr  # all that is other; packing an array anew takes 10 us
-            else:
-                self.launch.set_param_at_index(index, new)
-                self._own(index + 1)
-        self.args = args
-
-    def start(self):
-        self.device._timed(self.stage, self.launch.launch)
-
-
-class _Transfer(Transfer):
-    def __init__(self, device, array, source, event):
-        super().__init__(array)
-        self.device, self.source, self.event = device, source, event
-
-    def join(self):
-        self.device.wp_device.stream.wait_event(self.event)
-        return self.array
-
-    def wait(self):
-        self.device._wp.synchronize_event(self.event)
-
-
-class _Copy:
-    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
-
-    def __init__(self, device, target, source, *places):
-        self.device, self.args, self.places = device, (target, source), places
-        self.stage, self.name = device._clock.charged or "copies", "copy"
-
-    def set(self, args):
-        """Other arrays of the same kinds."""
-        self.args = args
-
-    def start(self):
-        (target, source), (count, start, to) = self.args, self.places
-        self.device._timed(self.stage, lambda: self.device._wp.copy(target, source, to, start, count))
-
-
 class WarpDevice(Taped):
-    """One Warp device: `cpu` or `cuda:N`."""
+    """One Warp device: `cpu` or `cuda:N`.
+
+    Nothing here depends on Warp's default device or on the current CUDA context, which are those of another GPU: every
+    array, event, stream and launch names its device.
+    """
 
     kind = "warp"
 
@@ -171,7 +80,7 @@ class WarpDevice(Taped):
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._modules: dict = {}  # of the stages
         self._natives: dict = {}  # kernels from OpenCL text
-        self._loaded: set = set()  # specialised kernels that are built
+        self._loaded: set = set()  # modules that are built, with the sizes of their groups
         self.build_ms: dict[str, float] = {}
 
     @property
@@ -192,7 +101,7 @@ class WarpDevice(Taped):
             if isinstance(values, wp.array):  # of another of Warp's devices
                 if self.on_host:
                     return self._array(values.numpy(), dtype)  # which waits
-                array = values.to(self.wp_device)
+                array = self._brought(values)
             elif not self.is_gpu:
                 return None
             elif dlpack_kind(values) in CUDA:
@@ -207,17 +116,29 @@ class WarpDevice(Taped):
         return self._fitting(self._as_shown(array), dtype)
 
     def _by_interface(self, values):
-        """Array over memory of this device that the CUDA array interface tells of."""
+        """Array over the CUDA memory that the CUDA array interface tells of, of whichever device."""
         interface = values.__cuda_array_interface__
+        number = ordinal_of(interface["data"][0])
+        owner = self.wp_device if number in (None, self.wp_device.ordinal) else self._wp.get_device(f"cuda:{number}")
         if interface.get("stream") is not None:  # work there may not have ended
-            self._wp.synchronize_device(self.wp_device)
+            self._wp.synchronize_device(owner)
         kind = self._wp.dtype_from_numpy(np.dtype(interface["typestr"]))
-        return self._wp.array(values, dtype=kind, device=self.wp_device, copy=False)
+        return self._wp.array(values, dtype=kind, device=owner, copy=False)
+
+    def _brought(self, array):
+        """Copy of an array of another of Warp's devices, in turn with what is launched on both."""
+        if not array.device.is_cuda:
+            return array.to(self.wp_device)
+        here, there = self.wp_device.stream, array.device.stream
+        wait_for(mark_in(there), here)
+        copy = array.to(self.wp_device)
+        wait_for(mark_in(here), there)  # its memory is not written to, or given away, sooner
+        return copy
 
     def _fitting(self, array, dtype):
         given = array
         if array.device != self.wp_device:
-            array = array.to(self.wp_device)
+            array = self._brought(array)
         if not array.is_contiguous:
             array = array.contiguous()
         if self._dtype(array) != dtype:
@@ -238,16 +159,28 @@ class WarpDevice(Taped):
         if not isinstance(given, int):
             raise BadData(f"CUDA stream: {name_of(stream)}, wanted an address, or an object with `__cuda_stream__`, "
                           "`cuda_stream` or `ptr`")
-        own = self._wp.Stream(self.wp_device, cuda_stream=given or None)  # 0: CUDA's default stream
-        with self._wp.ScopedStream(own, sync_enter=True, sync_exit=True):  # in turn with our own
-            yield
+        of = getattr(stream, "device_index", getattr(stream, "device_id", None))  # PyTorch's, CuPy's
+        if isinstance(of, int) and of not in (-1, self.wp_device.ordinal):
+            raise BadData(f"CUDA stream: one of cuda:{of}, wanted one of {self.wp_device.alias}, where the work is")
+        device = self.wp_device
+        with device.context_guard:  # whose default stream is meant
+            own, before = self._wp.Stream(device, cuda_stream=given or None), device.stream  # 0: CUDA's default stream
+            device.set_stream(own, True)  # in turn with our own
+            try:
+                yield
+            finally:
+                device.set_stream(before, True)
+
+    def _pinned(self, shape, kind):
+        """Warp's array in host memory that CUDA copies at the full rate of the bus."""
+        with self.wp_device.context_guard:  # else of device 0, which then keeps a context for it
+            return self._wp.empty(shape, dtype=kind, device="cpu", pinned=True)
 
     @refusable(of_shape)
     def pinned(self, shape, dtype=np.float32):
         if self.on_host:
             return super().pinned(shape, dtype)
-        kind = self._wp.dtype_from_numpy(np.dtype(dtype))
-        return self._wp.empty(shape, dtype=kind, device="cpu", pinned=True).numpy().view(Pinned)
+        return self._pinned(shape, self._wp.dtype_from_numpy(np.dtype(dtype))).numpy().view(Pinned)
 
     @refusable(of_values)
     def send(self, values, target=None, after=None):
@@ -256,19 +189,19 @@ class WarpDevice(Taped):
         wp = self._wp
         target = self._empty(values.shape, values.dtype) if target is None else target
         if after is not None:
-            self._copies.wait_event(after)
+            wait_for(after, self._copies)
         source = wp.array(np.asarray(values), dtype=target.dtype, device="cpu", copy=False)
         wp.copy(target, source, stream=self._copies)
-        return _Transfer(self, target, source, self._copies.record_event())
+        return Arriving(self, target, source, mark_in(self._copies))
 
     @refusable(of_values)
     def fetch(self, array):
         if self.on_host:
             return super().fetch(array)
         wp, free = self._wp, self._landings[array.shape, array.dtype]
-        values = free.pop() if free else wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
+        values = free.pop() if free else self._pinned(array.shape, array.dtype)
         wp.copy(values, array)
-        event = self.wp_device.stream.record_event()
+        event = mark_in(self.wp_device.stream)
 
         def fetched():
             wp.synchronize_event(event)
@@ -278,7 +211,7 @@ class WarpDevice(Taped):
         return fetched
 
     def mark(self):
-        return None if self.on_host else self.wp_device.stream.record_event()
+        return None if self.on_host else mark_in(self.wp_device.stream)
 
     def refusal(self, error):
         text = str(error) if isinstance(error, RuntimeError) else ""
@@ -300,7 +233,7 @@ class WarpDevice(Taped):
         return np.dtype(self._wp.dtype_to_numpy(array.dtype))
 
     def _copy(self, target, source, count, start, to):
-        return _Copy(self, target, source, count, start, to)
+        return Copy(self, target, source, count, start, to)
 
     def _launch(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)
@@ -320,7 +253,7 @@ class WarpDevice(Taped):
     def _command(self, stage, kernel, grid, args, defines, group):
         entry, options = self._entry(stage, kernel, defines, args, group)
         launch = self._wp.launch(entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options)
-        return _Command(self, self._clock.charged or stage, kernel, launch, args)
+        return Command(self, self._clock.charged or stage, kernel, launch, args)
 
     def _timed(self, stage, start):
         """Start something on the device, and time it where that is asked for."""
@@ -328,11 +261,11 @@ class WarpDevice(Taped):
         if clock.times is None:
             start()
         elif self.is_gpu:
-            first = self._wp.Event(self.wp_device, enable_timing=True)
-            last = self._wp.Event(self.wp_device, enable_timing=True)
-            self._wp.record_event(first)
-            start()
-            self._wp.record_event(last)
+            first, last = (self._wp.Event(self.wp_device, enable_timing=True) for _ in range(2))
+            with self.wp_device.context_guard:
+                self.wp_device.stream.record_event(first)
+                start()
+                self.wp_device.stream.record_event(last)
             clock.events.append((stage, first, last))
         else:  # CPU launches return when done
             begin = time.perf_counter()
@@ -348,23 +281,31 @@ class WarpDevice(Taped):
             loaded = self._modules[stage] = import_module(module)
         if getattr(loaded, "NATIVE", False):
             return self._native(stage, kernel, defines, args, options)
-        if stage not in self.build_ms:
-            self._build(stage, loaded)
         if not hasattr(loaded, "specialised"):
+            self._load(stage, loaded, **options)
             return getattr(loaded, kernel)
-        entry = loaded.specialised(kernel, **defines)
-        if entry not in self._loaded:  # a kernel with a module of its own
-            self._build(stage, entry.module, **options)
-            self._loaded.add(entry)
+        self._load(stage, loaded)
+        with _building:
+            entry = loaded.specialised(kernel, **defines)
+        self._load(stage, entry.module, **options)  # of its own
         return entry
 
     def _native(self, stage, kernel, defines, args, options):
         ranks = tuple(arg.ndim if isinstance(arg, self._wp.array) else None for arg in args)
         key = (stage, kernel, ranks, *sorted(defines.items()))
         if key not in self._natives:
-            self._natives[key] = native_kernel(self._wp, stage, kernel, defines, ranks)
-            self._build(stage, self._natives[key].module, **options)
+            with _building:
+                self._natives[key] = native_kernel(self._wp, stage, kernel, defines, ranks)
+        self._load(stage, self._natives[key].module, **options)
         return self._natives[key]
+
+    def _load(self, stage, module, **options):
+        """Build a module on this device, once for each size of its groups."""
+        key = module, options.get("block_dim")
+        if key not in self._loaded:
+            with _building:
+                self._build(stage, module, **options)
+            self._loaded.add(key)
 
     def _build(self, stage, module, **options):
         start = time.perf_counter()
@@ -390,6 +331,7 @@ class WarpDevice(Taped):
         self._wp.synchronize_device(self.wp_device)
 
     def _collect(self, clock):
-        for stage, first, last in clock.events:
-            clock.times[stage] += self._wp.get_event_elapsed_time(first, last)
+        with self.wp_device.context_guard:
+            for stage, first, last in clock.events:
+                clock.times[stage] += self._wp.get_event_elapsed_time(first, last)
         clock.events.clear()

@@ -60,10 +60,12 @@ ALLOWED = {
     "gpusim.look": {"gpusim.data", "gpusim.domain", "gpusim.forecast", "gpusim.io", "gpusim.options", "gpusim.plot",
                     "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
-    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
+    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.planner", "gpusim.program",
+                       "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},
     "gpusim.replicator": {"gpusim.batches", "gpusim.domain"},
-    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.simulator"},
+    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.planner",
+                     "gpusim.simulator"},
 }
 # from above to below: none may reach one before it, by whatever way
 CHAIN = ("gpusim.captures", "gpusim.simulator", "gpusim.program", "gpusim.planner", "gpusim.optics", "gpusim.domain")

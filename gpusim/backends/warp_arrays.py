@@ -1,0 +1,79 @@
+"""Arrays of Warp devices, which show themselves as NumPy's do, and the turns of streams, also of two GPUs."""
+
+import ctypes
+import functools
+import os
+
+import numpy as np
+
+OWNER = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL of CUDA's driver
+
+
+@functools.cache
+def array_class(wp):
+    """Warp's array with more of what NumPy's have: its own refuses `np.asarray` in CUDA memory, and empty slices."""
+
+    class WarpArray(wp.array):
+        def __array__(self, dtype=None, copy=None):  # in host memory NumPy takes `__array_interface__`
+            if self.device.is_cuda and copy is False:
+                raise ValueError(f"the values of an array of warp:{self.device} cannot be had without a copy")
+            return np.array(self.numpy(), dtype, copy=None if self.device.is_cuda else copy)
+
+        def numpy(self):
+            """Wait, then the values: a view in host memory, a copy of CUDA's.
+
+            Warp's own makes another stream current meanwhile, for every thread.
+            """
+            if not self.device.is_cuda or not self.size:
+                return super().numpy()
+            values = np.empty(self.shape, wp.dtype_to_numpy(self.dtype))
+            wp.synchronize_device(self.device)
+            wp.copy(wp.array(values, dtype=self.dtype, device="cpu", copy=False),
+                    self if self.is_contiguous else self.contiguous())
+            wp.synchronize_device(self.device)
+            return values
+
+        def __getitem__(self, key):
+            if isinstance(key, slice):
+                start, stop, step = key.indices(len(self))
+                if step < 0 or stop <= start:  # Warp has no such views
+                    return as_shown(wp.array(self.numpy()[key], dtype=self.dtype, device=self.device))
+                key = slice(start, stop, step)
+            elif hasattr(key, "__index__"):
+                if not -len(self) <= key.__index__() < len(self):  # which also ends a loop over the array
+                    raise IndexError(f"index {key} is out of bounds for an axis of {len(self)}")
+                key = key.__index__()
+            return as_shown(super().__getitem__(key))
+
+        def reshape(self, shape):
+            return as_shown(super().reshape(shape))
+
+    def as_shown(array):
+        array.__class__ = WarpArray
+        return array
+
+    WarpArray.of = staticmethod(as_shown)
+    return WarpArray
+
+
+def mark_in(stream):
+    """Event after what a stream has to do, of the stream's own device."""
+    with stream.device.context_guard:  # CUDA's default stream is that of the current context
+        return stream.record_event()
+
+
+def wait_for(event, stream):
+    """Let what a stream does from now on wait for an event, of whichever device."""
+    with stream.device.context_guard:
+        stream.wait_event(event)
+
+
+def ordinal_of(address: int) -> int | None:
+    """Number of the CUDA device that memory is of; None if the driver does not say."""
+    try:
+        driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+    except OSError:
+        return None
+    number = ctypes.c_int(-1)
+    failure = driver.cuPointerGetAttribute(ctypes.byref(number), OWNER, ctypes.c_uint64(address))
+    return None if failure else number.value

@@ -1,0 +1,73 @@
+"""What a Warp device starts: kernels with arguments of their own, copies between arrays, transfers from the host."""
+
+import ctypes
+
+import numpy as np
+
+from gpusim.backends.device import Transfer
+from gpusim.backends.warp_arrays import wait_for
+
+
+class Command:
+    """A launch with its arguments packed. stage: that is charged. name: of the kernel."""
+
+    def __init__(self, device, stage, name, launch, args):
+        self.device, self.stage, self.name, self.launch, self.args = device, stage, name, launch, args
+        for index in range(len(args)):
+            self._own(index + 1)
+
+    def _own(self, place):
+        """Pack an array for this launch alone: Warp packs it once for all launches, and `set` writes there."""
+        params, addresses = self.launch.params, self.launch.params_addr
+        if isinstance(params[place], ctypes.Structure):
+            params[place] = type(params[place]).from_buffer_copy(params[place])
+            if addresses:
+                addresses[place] = ctypes.c_void_p(ctypes.addressof(params[place]))
+
+    def set(self, args):
+        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
+            if new is old or (isinstance(new, int | float | np.number) and new == old):
+                continue
+            packed = self.launch.params[index + 1]
+            if isinstance(new, int | float | np.number):
+                packed.value = new
+            elif new.shape == old.shape and new.dtype == old.dtype and new.is_contiguous and old.is_contiguous:
+                packed.data = new.ptr  # all that is other; packing an array anew takes 10 us
+            else:
+                self.launch.set_param_at_index(index, new)
+                self._own(index + 1)
+        self.args = args
+
+    def start(self):
+        self.device._timed(self.stage, self.launch.launch)
+
+
+class Arriving(Transfer):
+    """An array that is written by a stream of its own, beside the kernels."""
+
+    def __init__(self, device, array, source, event):
+        super().__init__(array)
+        self.device, self.source, self.event = device, source, event
+
+    def join(self):
+        wait_for(self.event, self.device.wp_device.stream)
+        return self.array
+
+    def wait(self):
+        self.device._wp.synchronize_event(self.event)
+
+
+class Copy:
+    """A copy between two arrays in turn with the kernels. args: the one written, and the one read."""
+
+    def __init__(self, device, target, source, *places):
+        self.device, self.args, self.places = device, (target, source), places
+        self.stage, self.name = device._clock.charged or "copies", "copy"
+
+    def set(self, args):
+        """Other arrays of the same kinds."""
+        self.args = args
+
+    def start(self):
+        (target, source), (count, start, to) = self.args, self.places
+        self.device._timed(self.stage, lambda: self.device._wp.copy(target, source, to, start, count))
