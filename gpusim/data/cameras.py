@@ -64,6 +64,8 @@ def open_camera(name_or_path) -> Camera:
     those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
     name that is neither.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise BadData(f"camera: {type(name_or_path).__name__}, wanted a name or a file's path")
     path, table = camera_table(name_or_path)
     try:
         return camera_of(path, table)

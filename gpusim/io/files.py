@@ -7,7 +7,7 @@ import stat
 from contextlib import contextmanager
 from pathlib import Path
 
-from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError
+from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
 from gpusim.domain.memory import require_memory
 
 LONGEST_TEXT = 2**20  # [byte] of what people write; TOML takes up to 3 s for as much
@@ -21,6 +21,8 @@ def open_file(path) -> io.BufferedReader:
 
     A pipe without a writer, a terminal or a socket would let a program wait without end, and devices have no end.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise BadFile(shown(path), f"{type(path).__name__}, wanted a file's path")
     path = Path(path)
     try:
         _require_regular(path, path.stat())  # before it is opened: to open a device may do something

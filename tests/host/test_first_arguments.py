@@ -1,5 +1,7 @@
 """What is no input is refused at the call, in one line: every public name, and what goes through a simulator."""
 
+import inspect
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -85,3 +87,26 @@ def test_quantum_efficiency_of_every_spreadsheet(tmp_path, divider, decimal, end
     found, same = (gs.open_camera(tmp_path / name).sensor.qe for name in ("own.toml", "own2.toml"))
     np.testing.assert_array_equal(found.wavelengths, same.wavelengths)
     np.testing.assert_array_equal(found.values, same.values)
+
+
+# ------------------------------------------------------------------------------------------------ every public name
+
+EXCEPTIONS = {
+    "GpusimError": "an exception takes any message",
+    "plot": "a module",
+}
+
+
+@pytest.mark.parametrize("wrong", [ARRAY, None, "no such thing", 3], ids=["array", "None", "str", "int"])
+@pytest.mark.parametrize("name", sorted(set(gs.__all__) - set(EXCEPTIONS)))
+def test_a_public_name_works_or_says_why_not(name, wrong, tmp_path, monkeypatch):
+    """TypeError is for arguments that are missing, or that have to be named, and for nothing else."""
+    monkeypatch.chdir(tmp_path)
+    try:
+        made = getattr(gs, name)(wrong)
+    except gs.GpusimError as error:
+        assert str(error) and "\n" not in str(error) and len(str(error)) <= 500
+    except TypeError as error:
+        assert re.search(r"missing \d+ required|takes \d+ positional argument", str(error)), error
+    else:
+        assert not inspect.isgenerator(made)
