@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -261,16 +261,18 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         blurred = question = question.limited(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
+    told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
-        geometry.viewed(question, probes or spectral.probes_of(question, picture, operation), notes)
-    by_depth = depth.by_depth(question, lambda: probes or spectral.probes_of(question, picture, operation), notes)
+        geometry.viewed(question, told(), notes)
+    placed = geometry.interpolated(question, told, notes)
+    by_depth = depth.by_depth(question, told, notes)
     fixed = rounding_of(question, probes, single)
     seen = _seen(question, picture, probes, operation, by_depth, fixed, notes) if question.is_blurred else _plain(
         question, blurred, fixed, notes)
     taps, spare = sampling.taps_of(question, seen.around.spare if seen.around else 0)
     depth.describe(by_depth, notes)
     picture.describe(notes)
-    distortion = geometry.distorted(question, probes, notes)
+    distortion = geometry.distorted(question, placed, probes, notes)
     geometry.describe_calibration(question, notes)
     gains, slope = falloff.falloff_of(question, probes, notes)
     if seen.around:
@@ -325,7 +327,8 @@ def _plain(question, blurred, fixed, notes):
         bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
         planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
         limit = max(blurred.limit, HEADROOM * bound.rms)
-    return _Seen(planes, limit=limit, remedy=REMEDIES["rounding"])
+    by = max(notes.bounds, key=lambda name: notes.bounds[name].rms)
+    return _Seen(planes, limit=limit, remedy=REMEDIES.get(by, "a larger tolerance would be met"))
 
 
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):

@@ -15,7 +15,7 @@ from gpusim.domain.view import View
 from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
 from gpusim.planner.fusion import SAMPLED_PERIOD, in_range
-from gpusim.planner.geometry import keys_error
+from gpusim.planner.geometry import interpolation_error
 from gpusim.planner.windows import Windows, quantile
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
@@ -138,11 +138,15 @@ class Probes:
 
         In the mean over all places between samples: a view by half a sample errs 1.3 times as much.
         """
-        if view.is_whole(ratio):
-            return Bound()
-        (mean_y, square_y), (mean_x, square_x) = map(keys_error, (np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE)))
-        square = square_y[:, None] * square_x - 2 * np.real(mean_y[:, None] * mean_x) + 1
-        return self.bound(self.exact * np.sqrt(np.maximum(square, 0)).astype(np.float32))
+        return Bound() if view.is_whole(ratio) else self.interpolated()
+
+    def interpolated(self, phases=None, width: float | None = None) -> Bound:
+        """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
+
+        Between samples the truth is the wave of each frequency that runs through them.
+        """
+        square = interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, width)
+        return self.bound(self.exact * np.sqrt(square).astype(np.float32))
 
     def between(self, step: float, path: float) -> Bound:
         """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.

@@ -1,10 +1,13 @@
 """Geometry: where the lens puts the samples."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from gpusim.domain.account import SAFETY, UNKNOWN, total
 from gpusim.domain.calibration import Calibration
-from gpusim.planner.geometry import DistortionGrid, distortion_grid
+from gpusim.planner.geometry import DistortionGrid, distortion_grid, place_phases
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
@@ -19,21 +22,37 @@ def viewed(question: Question, probes: Probes, notes: Notes):
                                       "each frame says")
 
 
-def distorted(question: Question, probes: Probes | None, notes: Notes) -> DistortionGrid | None:
-    """The lens's distortion of the samples, the margin's where there is blur to need it; None: as a pinhole would.
+def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -> DistortionGrid | None:
+    """The lens's distortion of the samples, with the error of its interpolation; None if the lens has none.
 
-    probes: of the scene, where there is a tolerance. Raises OutOfRange.
+    Of the margin's samples, too, if there is blur to need them. told: gives the scene's probes. Raises OutOfRange.
     """
     distortion = question.distortion
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
+    if question.scene.view.is_whole(question.ratio):  # else it is an error of the view, whose places are anywhere
+        width = sum(made.ratio) / 2 if made.method == "area" else None
+        everywhere, worst = (told().interpolated(phases, width) for phases in place_phases(made, seen))
+        notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
+    return made
+
+
+def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
+    """The distortion that the frame gets: `made`, or None if it may be left out.
+
+    probes: of the scene, if there is a tolerance.
+    """
+    if made is None:
+        return None
     move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.moved(move)
-        if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
+        others = [one for name, one in notes.bounds.items() if name != "distortion"]
+        if SAFETY * total([*others, bound]).ratio(question.tolerance) <= 1:
+            notes.bounds.pop("distortion", None)
             notes.leave_out(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
             return None
     seen_by = notes.models.get("optics.distort")
