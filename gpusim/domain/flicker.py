@@ -31,6 +31,7 @@ class Flicker:
             value = getattr(self, name)
             if not isinstance(value, Real):
                 raise OutOfRange(f"flicker.{name}", shown(value), "a number")
+            value = float(value)
             if not (low <= value <= high and np.isfinite(value)) or (name == "frequency" and not value):
                 least = "above 0" if name == "frequency" else f"{low:g}"
                 raise OutOfRange(f"flicker.{name}", value, f"{least} .. {high:g}")

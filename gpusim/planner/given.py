@@ -1,6 +1,7 @@
 """Plans that are given: whether they are for a camera, and what they err in a scene that they were not made for."""
 
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from gpusim.domain.account import UNKNOWN, Account, Bound, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.tolerance import Tolerance
 from gpusim.planner.models import border, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.models.field import doubt_of
 from gpusim.planner.notes import Notes
 from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan, rounding_of
@@ -52,18 +54,21 @@ def judged(plan: Plan, question: Question, exposure_time: float | None, asked: T
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
         notes.leave_out("blur", total([probes.unblurred, afar]), "blur left out")
         question = replace(question, camera=replace(camera, optics=replace(camera.optics, model="none", psf=None)))
+    told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
-        geometry.viewed(question, probes or spectral.probes_of(question, picture, operation), notes)
+        geometry.viewed(question, told(), notes)
+    placed = geometry.interpolated(question, told, notes)
     rounding = rounding_of(question, probes, single)
     if question.is_blurred:
         rounding = _blur(plan, question, picture, operation, probes, rounding, notes)
     else:
         spectral.unblurred(question, notes)
     notes.bounds = rounding | notes.bounds
-    _geometry(plan, question, probes, notes)
+    _geometry(plan, placed, question, probes, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, plan.taps, notes)
-    account = Account({name: bound for name, bound in notes.bounds.items() if bound != Bound()}, operation.seconds)
+    account = Account({name: bound for name, bound in notes.bounds.items() if bound != Bound()}, operation.seconds,
+                      doubt_of(question))
     return replace(plan, scene=question.scene, camera=camera, content=question.content, account=account,
                    verdict=None if asked is None else account.verdict(asked, REMEDY), tolerance=asked, single=single,
                    left_out=notes.left_out, beside=notes.beside, planned_for="", probed="", given_of=plan.scene.name)
@@ -90,11 +95,12 @@ def _planes(plan, probes):
     return bound
 
 
-def _geometry(plan, question, probes, notes):
-    """Predict what the plan leaves out of distortion and fall-off."""
+def _geometry(plan, made, question, probes, notes):
+    """Predict what the plan leaves out of distortion, `made` for the scene, and of fall-off."""
     own = Notes()  # without probes nothing is left out
-    made = geometry.distorted(question, None, own)
+    geometry.distorted(question, made, None, own)
     if made is not None and plan.distortion is None and probes is not None:
+        notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
         notes.leave_out(f"distortion by up to {move:.2g} of a sample", probes.moved(move), "distortion left out")
     geometry.describe_calibration(question, notes)

@@ -13,6 +13,7 @@ SMALL = 400  # samples along a frame below which a field varies within a kernel:
 DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
 # beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
 WIDEST_Q = 24.0
+BETWEEN_DOUBT = "pixels end between the scene's samples, and light between blurred samples is interpolated"
 WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
@@ -21,9 +22,21 @@ def doubt_of(question: Question) -> str:
     """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
     if not question.is_blurred:
         return ""
+    if _pixels_end_between_samples(question):
+        return BETWEEN_DOUBT
     if question.optics.varies and min(question.size) < SMALL:
         return DOUBT
     return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
+
+
+def _pixels_end_between_samples(question):
+    """Whether the edges of a pixel's aperture are not all edges of the cells of a finer scene's samples."""
+    ratio, sensor = question.ratio, question.sensor
+    if ratio == 1:
+        return False
+    edges = [ratio * (0.5 + move + side * width / 2) for move, width in zip(
+        sensor.displacement, question.aperture, strict=True) for side in (-1, 1)]
+    return not ratio.is_integer() or any(abs(edge - round(edge)) > 1e-6 for edge in edges)
 
 
 def varying_planes(question: Question, response: Response, prior, flat):
