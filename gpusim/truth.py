@@ -62,8 +62,8 @@ def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
     if len(parts) == 1:
         return mean, found[0]
-    return tuple(np.concatenate([one.ravel() for one in every]) for every in (
-        [mean[..., *part] for part in parts], found))
+    rows = [np.concatenate([one.ravel() for one in every]) for every in ([mean[..., *part] for part in parts], found)]
+    return rows[0], rows[1]
 
 
 def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:

@@ -58,7 +58,8 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
     for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
         if weight.any() and plane.any():
             spectrum = scipy.fft.rfft2(np.pad(plane, pads, mode=MODES[scene.border]), workers=-1)
-            seen, even = _at_pixels(spectrum, period, *_transfer(optics, scene.wavelengths[k], pitch), wide, at)
+            transfer, cut = _transfer(optics, scene.wavelengths[k], pitch)
+            seen, even = _at_pixels(spectrum, period, transfer, cut, wide, at)
             total += weight[:, None, None] * seen
             tails[:, k] /= even
     return total + far_rates(tails, light, optics, scene, period, places)

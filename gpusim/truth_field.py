@@ -81,7 +81,7 @@ class Field:
         rays = spread_radius(optics, scene.wavelengths, pitch, float(farthest / corner))
         half = ceil(max(LEAST_REACH, RINGS * q, RADII * rays) + lateral)
         if optics.psf is None:
-            lens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
+            lens: PupilLens | MeasuredLens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
         else:
             lens = MeasuredLens(optics, optics.psf, pitch, aperture, (np.inf, np.inf), sensor.displacement)
             half = max(half, lens.least_size // 2)

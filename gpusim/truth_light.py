@@ -6,6 +6,7 @@ every place by itself, from the camera's own model.
 """
 
 from math import ceil
+from typing import Any
 
 import numpy as np
 import scipy
@@ -18,7 +19,7 @@ from gpusim.planner.geometry import microlens_gain, relative_illumination, vigne
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
 TAPS = 10
 SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
-MODES = {"zero": "constant", "edge": "edge", "scene": "edge", "reflect": "symmetric"}
+MODES: dict[str, Any] = {"zero": "constant", "edge": "edge", "scene": "edge", "reflect": "symmetric"}
 RIM, FARTHEST = 32, 512  # [sample] around the scene that take part in the series, beside those that are shown, at most
 FINER, PARTS = 2.0, 4  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
 
@@ -56,7 +57,7 @@ def placed_light(camera, scene) -> np.ndarray:
         y, x = scene.view.place(y, x, scene.samples_per_pixel)
         return y + (rows - 1) / 2, x + (cols - 1) / 2, flux
 
-    nodes, mass = [0.0], [1.0]
+    nodes, mass = np.zeros(1), np.ones(1)
     if model is not None and _most_samples(source, y, x) > FINER:
         nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
     total = np.zeros_like(light)
