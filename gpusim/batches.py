@@ -77,6 +77,10 @@ class Batch:
                           f"{' or '.join(map(str, channels))} channels")
         if type_of(values) not in (np.float16, np.float32, np.float64):
             raise BadData(f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes")
+        lowest = values.min().item() if hasattr(values, "min") else 0  # only the device knows those of Warp
+        if not lowest >= 0:
+            found = "negative light" if lowest < 0 else "NaN"
+            raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
         settings = {"camera": camera, "exposure_time": _listed(exposure_time), "gain": _listed(gain)}
         if self.simulator.tolerance is None or self._plan is not None:

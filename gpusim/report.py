@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from gpusim.domain.account import Account, Verdict
+from gpusim.domain.account import Account, Bound, Verdict
 from gpusim.domain.brief import shortened
 from gpusim.domain.shown import Tabled
 from gpusim.domain.tolerance import Tolerance
@@ -116,12 +116,12 @@ class Report(Tabled):
                                "predicted": self.account.total.as_dict(),
                                "verdict": self.verdict and self.verdict.as_dict()}
 
-    def errors(self) -> list[tuple[str, str]]:
-        """Name and figures of every predicted error, and of all together."""
+    @property
+    def errors(self) -> list[tuple[str, Bound]]:
+        """Name and bound of every predicted error, and of all that are known together."""
         bounds = self.account.bounds
-        last = "all known together" if any(not bound.is_known for bound in bounds.values()) else "all together"
-        return [(name, f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
-                 if bound.is_known else "not known") for name, bound in [*bounds.items(), (last, self.account.total)]]
+        last = "all together" if all(bound.is_known for bound in bounds.values()) else "all known together"
+        return [*bounds.items(), (last, self.account.total)]
 
     @property
     def _border(self):
@@ -143,7 +143,9 @@ class Report(Tabled):
                  f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
         lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
-        lines += [f"  predicted: {name:22s} {words}" for name, words in self.errors()]
+        lines += [f"  predicted: {name:22s} " + (
+            f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+            if bound.is_known else "not known") for name, bound in self.errors]
         lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error

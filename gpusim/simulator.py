@@ -11,7 +11,8 @@ from gpusim.backends.tape import OwnTape, noted
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
-from gpusim.domain.scene import Scene
+from gpusim.domain.foreign import is_array
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.facts import Facts
@@ -117,9 +118,11 @@ class Simulator:
 
         Of several scenes, a list or what gives them one by one, an iterator of one frame of each, numbered from `frame`
         on: each is made when it is asked for, and is what its scene and number give by themselves. `stream` is faster
-        where their arrays are enough.
+        where their arrays are enough. Raises as `frames` does: at the call for what is no scene, also in a list.
         """
-        if isinstance(scene, Iterable) and not isinstance(scene, str):
+        if isinstance(scene, Iterable) and not isinstance(scene, str | bytes) and not is_array(scene):
+            for one in scene if isinstance(scene, list | tuple | set | dict) else ():
+                checked_scene(one)
             return (self(one, seed=seed, frame=number, verify=verify, plan=plan)
                     for number, one in enumerate(scene, frame))
         return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify, plan=plan))
@@ -132,6 +135,10 @@ class Simulator:
         reference and report the true error.
         Raises BadData, DoesNotFit (memory, before anything is allocated), OutOfRange.
         """
+        checked_count("count of frames", count)
+        return self._frames(checked_scene(scene), count, seed, first, verify, plan)
+
+    def _frames(self, scene, count, seed, first, verify, plan):
         if verify:
             require_truth(self.camera, scene)
         exposure = self.expose(scene, plan=plan)

@@ -3,12 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import ceil, inf
+from numbers import Real
 
 import numpy as np
 
 from gpusim.captures.moving import STEP, farthest
 from gpusim.captures.photoreceptor import RATES, Photoreceptor
-from gpusim.domain.errors import BadData, OutOfRange, checked_count
+from gpusim.domain.errors import BadData, OutOfRange, checked_count, shown
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.simulator import Simulator
@@ -54,8 +55,8 @@ class EventSensor:
         for name, low in (("on", LEAST_THRESHOLD), ("off", LEAST_THRESHOLD), ("mismatch", 0), ("refractory", 0),
                           ("leak", 0), ("dark", 0), ("window", 0), ("cutoff", 0), ("noise", 0), ("charge", 1)):
             value = getattr(self, name)
-            if not (name == "window" and value is None) and not low <= value < inf:
-                raise OutOfRange(f"events.{name}", value, f"{low:g} or more")
+            if not (name == "window" and value is None) and not (isinstance(value, Real) and low <= value < inf):
+                raise OutOfRange(f"events.{name}", shown(value), f"{low:g} or more")
         if not self.dark > 0:
             raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
         if not self.cutoff > 0:

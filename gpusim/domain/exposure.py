@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 
 METHODS = ("highlights", "full", "percentile", "mean", "centre")
 LONGEST = 1e12  # [s]
@@ -107,7 +107,7 @@ class AutoExposure:
     most_gain: float = 1.0
 
     def __post_init__(self):
-        if self.method not in METHODS:
+        if not is_known(self.method, METHODS):
             raise UnknownName("exposure method", str(self.method), METHODS)
         if self.level is None:
             object.__setattr__(self, "level", FILLED * MIDDLE_GREY if self.averages else FILLED)

@@ -93,7 +93,8 @@ def pairs(arguments) -> int:
         "device": made_by(simulator.device)}
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
-    begun, count, states = time.perf_counter(), sum(map(len, missing)), Counter()
+    begun, count = time.perf_counter(), sum(map(len, missing))
+    states: Counter[str] = Counter()
     with kept(folder / "pairs.json", told, "the tar files beside it", lambda: not any(folder.glob("*.tar"))), tqdm(
             total=count, unit="pair", disable=None) as bar:
         for shard in missing:

@@ -77,7 +77,10 @@ def _report(report):
     lines = str(report).split("\n")
     rows = [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
     rows.append(("all stages", f"{report.ms:.3g} ms", f"of {report.wall_ms:.4g} ms, planning and copies included"))
-    rows += [(f"predicted error: {name}", "", words) for name, words in report.errors()]
+    for name, bound in report.errors:
+        sigmas = f"99.9 % below {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+        rows.append((f"predicted error: {name}", *((f"{bound.rms:.2g} rms", sigmas) if bound.is_known else (
+            "not known", ""))))
     if report.error:
         error = report.error
         rows.append(("true error", f"{error.rms:.2g} rms", f"99.9 % below {error.p999_sigma:.2g} sigma, largest "

@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
+from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept, same
@@ -53,6 +54,8 @@ class Batch:
         Raises as `Simulator.frames` does, and BadData for items of unlike shapes and for numbers of values that are not
         those of the items.
         """
+        if is_array(scenes):
+            checked_scene(scenes)  # which refuses it
         given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
                  "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
         values = {name: one_each(name, value, self.count) for name, value in given.items()}

@@ -6,7 +6,7 @@ from math import ceil
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, shown
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.view import View
 from gpusim.optics.lengths import LENGTHS
 from gpusim.planner.after import probed
@@ -40,6 +40,7 @@ def drafted_by(camera: Camera) -> tuple:
 def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
             least: int = 0) -> Plan:
     """What a frame of `scene` takes: see `Simulator.plan`."""
+    checked_scene(scene)
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
         LENGTHS[-1] - 2 * (ceil((reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))

@@ -7,7 +7,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, UnknownName, checked_count
-from gpusim.domain.foreign import CPU, dlpack_kind, to_host
+from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.planner.plan import Plan
 from gpusim.program.outputs import OUTPUTS
@@ -26,7 +26,7 @@ class Stream(Iterator):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         checked_count("first", first, 0)
-        if not isinstance(scenes, Iterable):
+        if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
             raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
         self.plan, self._settings = plan, settings | {"plan": plan}
         self._frames = self._made(simulator, scenes, output, seed, first)

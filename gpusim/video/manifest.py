@@ -77,7 +77,8 @@ class Plans:
     """
 
     def __init__(self, path: Path):
-        self._path, self.runs = path, {}
+        self._path = path
+        self.runs: dict[str, list] = {}
         self._written = time.monotonic()
 
     def __enter__(self) -> "Plans":

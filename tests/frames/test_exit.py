@@ -21,8 +21,8 @@ def work():
 """
 # How it ends -> what is done last, and the status
 ENDS = {"plain": ("work()", 0),
-        "in a function": ("def main():\n    y = gs.Simulator(gs.open_camera('mono'), device=sys.argv[1]).program(scene, .01)"
-                          "\n    z = y.raw(), y.output('irradiance')\nmain()", 0),
+        "in a function": ("def main():\n    y = gs.Simulator(gs.open_camera('mono'), device=sys.argv[1])"
+                          ".program(scene, .01)\n    z = y.raw(), y.output('irradiance')\nmain()", 0),
         "exit": ("work()\nsys.exit(3)", 3),
         "an error": ("work()\nraise ValueError('no')", 1),
         "a thread": ("threading.Thread(target=work).start()", 0),
@@ -31,8 +31,9 @@ ENDS = {"plain": ("work()", 0),
         "Ctrl-C": ("import os, signal\nwork()\nos.kill(os.getpid(), signal.SIGINT)\nwork()", -2),
         "a stream": ("frames = simulate.stream([scene] * 3, 'raw')\nx = next(frames)", 0),
         "a device that is dropped": ("from gpusim.backends.opencl import OpenCLDevice\n"
-                                     "device = open_device(sys.argv[1])\nother = type(device)(device.cl_device, 'opencl:7')"
-                                     " if device.kind == 'opencl' else device\n"
+                                     "device = open_device(sys.argv[1])\n"
+                                     "other = type(device)(device.cl_device, 'opencl:7') if device.kind == 'opencl' "
+                                     "else device\n"
                                      "gs.Simulator(gs.open_camera('phone'), device=other).program(scene, .01).raw()\n"
                                      "del other", 0)}
 

@@ -1,6 +1,7 @@
 """What is shipped is what is in the tree, and imports point one way."""
 
 import ast
+import os
 import subprocess
 import sys
 import tomllib
@@ -60,10 +61,12 @@ ALLOWED = {
     "gpusim.look": {"gpusim.data", "gpusim.domain", "gpusim.forecast", "gpusim.io", "gpusim.options", "gpusim.plot",
                     "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
-    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
+    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.planner", "gpusim.program",
+                       "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},
     "gpusim.replicator": {"gpusim.batches", "gpusim.domain"},
-    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.simulator"},
+    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.planner",
+                     "gpusim.simulator"},
 }
 # from above to below: none may reach one before it, by whatever way
 CHAIN = ("gpusim.captures", "gpusim.simulator", "gpusim.program", "gpusim.planner", "gpusim.optics", "gpusim.domain")
@@ -166,3 +169,24 @@ def test_a_checkout_has_its_kernels_without_an_editable_install():
             "import gpusim.kernels.stage as one; print(one.__file__)")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert Path(done.stdout.strip()) == ROOT / "kernels" / "stage.py", done.stderr
+
+
+def test_devices_are_listed_in_a_checkout_without_an_editable_install(tmp_path):
+    """`python -m gpusim devices` in the checkout, and the processes in which it tries devices, find this package."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nclass Removed(list):\n    def append(self, one):\n"
+        "        if 'editable' not in repr(one):\n            super().append(one)\n"
+        "sys.meta_path = Removed(one for one in sys.meta_path if 'editable' not in repr(one))\n")
+    done = subprocess.run([sys.executable, "-m", "gpusim", "devices"], cwd=ROOT, capture_output=True,
+                          text=True, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert done.returncode == 0 and done.stdout.startswith("numpy"), done
+    assert "Traceback" not in done.stderr and "No module named 'gpusim" not in done.stdout + done.stderr, done
+
+
+def test_an_installed_package_has_the_kernels_own_init():
+    """A wheel takes gpusim.kernels from kernels/, and not the file that finds them in a checkout."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert settings["package-dir"] == {"gpusim.kernels": "kernels"}
+    assert "__path__" in (ROOT / "gpusim" / "kernels" / "__init__.py").read_text()
+    assert "__path__" not in (ROOT / "kernels" / "__init__.py").read_text()
+    assert [path.name for path in (ROOT / "gpusim" / "kernels").glob("*.*")] == ["__init__.py"]

@@ -68,8 +68,8 @@ def describe_calibration(question: Question, notes: Notes):
     if "optics.distort" in notes.models:
         notes.models["optics.distort"] += f"; {calibration}"
     across = calibration.width / calibration.fx  # of the pinhole's picture, in focal lengths
-    given = question.scene.fov and 2 * np.tan(question.scene.fov / 2)
-    if given and abs(given / across - 1) > NEGLIGIBLE:
-        notes.leave_out(f"the scene's field of view, {np.degrees(question.scene.fov):.4g} deg: taken for that of the "
+    fov = question.scene.fov
+    if fov and abs(2 * np.tan(fov / 2) / across - 1) > NEGLIGIBLE:
+        notes.leave_out(f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
                         f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg", UNKNOWN,
                         "field of view")
