@@ -11,7 +11,10 @@ SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 
 
 class Differences:
-    """Kernels of planes less those on the axis, as planner/field.py calls a lens; sums are the same at all places.
+    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to 0 at all places.
+
+    So a point's energy is the same all over the field, and a flat field is the sum of its points: brighter where a lens
+    moves them together.
 
     What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
     differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
@@ -28,10 +31,6 @@ class Differences:
         self.middle = (np.array(shape) - 1) / 2 + axis
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
-        gains = np.ones(len(self.nodes))
-        if isinstance(lens, PupilLens):
-            gains = (1 + lens.optics.lateral_color_at(self.nodes)) ** 2
-        self.more = self.mix * (gains - 1)
         self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
         self.size = self._enough(error)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
@@ -51,10 +50,18 @@ class Differences:
         key = round(y, 9), round(x, 9)
         if key not in self._known:
             kernels = self.lens.kernels(self.nodes, (y, x), self.size)
-            whole = kernels / kernels.sum(axis=(1, 2), keepdims=True)
-            self._known[key] = (np.tensordot(self.mix, _even(kernels - self._axis), 1)
-                                + np.tensordot(self.more, whole, 1))
+            self._known[key] = np.tensordot(self.mix, self._whole(_even(kernels - self._axis), (y, x)), 1)
         return self._known[key]
+
+    def _whole(self, differences, place):
+        """Differences whose first moments are those of all the light: what moves beyond them is added as a slope."""
+        if not isinstance(self.lens, PupilLens):
+            return differences  # given spreads end within the kernels
+        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(self.nodes, (0.0, 0.0))
+        at = np.arange(self.size) - self.size // 2
+        left = wanted - np.stack([differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1)
+        y, x = left.T[..., None, None] / (self.size * (at @ at))
+        return differences + y * at[:, None] + x * at
 
     def _enough(self, error):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""

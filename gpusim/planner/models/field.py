@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpusim.planner.differences import Differences, farthest_corner
-from gpusim.planner.field import FieldBlur, choose, natural_difference
+from gpusim.planner.field import FieldBlur, FlatField, choose, natural_difference
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
 
@@ -15,6 +15,7 @@ DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger fr
 WIDEST_Q = 24.0
 BETWEEN_DOUBT = "pixels end between the scene's samples, and light between blurred samples is interpolated"
 WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
+WIDEST_ROOM = 8  # times the limit: what the end of kernels may cost a natural scene at most, if this one is flatter
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
@@ -60,8 +61,11 @@ def varying_planes(question: Question, response: Response, prior, flat):
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
     contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
-    varying = _rest(question, transfers * flat, _stepped(limit / contrast), count)
+    # of planes in a flat field of the frame's power
+    levels = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300))
+    varying = _rest(question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit))
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
+    error = float(np.hypot(error, varying.flat))
     error = float(np.hypot(error, _misplaced(question, varying)))
     return table, transfers[None], mix, varying, error, (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
@@ -85,13 +89,23 @@ def _planes(question, response, prior, limit):
     return count, table, each, error
 
 
-def _rest(question, transfers, limit, count) -> FieldBlur:
-    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1."""
+def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
+    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1.
+
+    limit: of the error of natural scenes. levels, flat_limit: strength of the planes in flat fields, and the limit of
+    the error of these.
+    """
     lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
     axis = tuple(question.ratio * at for at in question.axis)
-    of = lens, wavelengths, transfers, shape, question.corner, limit
-    return question.kept("field plan", (*of, axis, count), lambda: choose(
-        Differences(*of[:-1], limit / 8, axis), shape, limit / 2 / np.sqrt(count)))
+    of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
+    levels = _stepped(np.maximum(levels, 1e-12))
+
+    def made():
+        differences = Differences(*of[:-1], of[-1] / 8, axis)
+        return choose(differences, shape, limit / 2 / np.sqrt(count),
+                      FlatField(differences, shape, levels, flat_limit / 2))
+
+    return question.kept("field plan", (*of, limit, axis, count, levels, flat_limit), made)
 
 
 def _stepped(values):
@@ -100,20 +114,27 @@ def _stepped(values):
 
 
 def _misplaced(question, varying):
-    """Relative RMS error of light that the differences have within their size, and the lens beyond.
+    """Relative RMS error of light from outside the frame, and of light that is lost in a dark world.
 
-    They are as bright as lateral colour is, within alone. In a dark world what kernels have less than those on the
-    axis, and the differences evenly, is lost; it grows with the square of the height h, whose root mean square over a
-    frame, 1 at the corner, is 0.42 .. 0.45.
+    Light from outside is spread as at the frame's border, where a lens would go on to vary. The corner's spread moves
+    light by d pixels at R pixels from the axis: a strip d wide, less the margin, is too bright, or too dark, by d / R,
+    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis, and the
+    differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a frame, 1
+    at the corner, is 0.42 .. 0.45.
     """
-    optics, wavelengths, size = question.optics, question.content.wavelengths, varying.kernels.shape[-1]
-    axis = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
-    corner = farthest_corner(question.size, axis) / question.corner
-    outer, axis = (question.lens.kernels([float(np.median(wavelengths))], tuple(place), size).sum()
-                   for place in (corner, (0.0, 0.0)))
-    brighter = (1 + optics.lateral_color_at(wavelengths)) ** 2 - 1
-    lost = 0.43 * abs(axis - outer) if question.scene.border == "zero" else 0.0
-    return float(np.hypot(np.sqrt(np.mean(brighter**2)) * max(1 - axis, 0.0), lost))
+    wavelengths, size, (rows, cols) = question.content.wavelengths, varying.kernels.shape[-1], question.size
+    middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
+    corner = farthest_corner(question.size, middle)
+    height = max(float(np.hypot(*corner)), 1.0)
+    outer, axis = (question.lens.kernels([float(np.median(wavelengths))], tuple(place), size)[0]
+                   for place in (corner / question.corner, (0.0, 0.0)))
+    if question.scene.border == "zero":
+        return float(0.43 * abs(axis.sum() - outer.sum()))
+    at = np.arange(size) - size // 2
+    inward = -(outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1]) / height / outer.sum()
+    inward = max(float(inward), float(-question.optics.lateral_color_at(wavelengths).min() * height), 0.0)
+    strip = max(inward - question.scene.margin, 0.0)
+    return inward / height * float(np.sqrt(min(2 * strip * (rows + cols) / (rows * cols), 1.0)))
 
 
 def _blocks(parts):
