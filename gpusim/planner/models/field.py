@@ -118,9 +118,9 @@ def _misplaced(question, varying):
 
     Light from outside is spread as at the frame's border, where a lens would go on to vary. The corner's spread moves
     light by d pixels at R pixels from the axis: a strip d wide, less the margin, is too bright, or too dark, by d / R,
-    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis, and the
-    differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a frame, 1
-    at the corner, is 0.42 .. 0.45.
+    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis,
+    and the differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a
+    frame, 1 at the corner, is 0.42 .. 0.45.
     """
     wavelengths, size, (rows, cols) = question.content.wavelengths, varying.kernels.shape[-1], question.size
     middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
