@@ -144,7 +144,7 @@ def test_the_last_good_picture_stays(widget):
     good = settled(widget)
     field = widget.controls[F_NUMBER].number
     field.value = -1.0
-    assert np.array_equal(settled(widget), good) and "optics.f_number = -1.0: allowed is" in widget._error.value
+    assert np.array_equal(settled(widget), good) and "f-number = -1.0: allowed is" in widget._error.value
     with pytest.raises(GpusimError, match=r"optics\.f_number = -1"):
         widget.frame()
     field.value = float("nan")  # a field that was emptied
