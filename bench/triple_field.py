@@ -1,7 +1,7 @@
 """A camera whose blur varies over the field, at single pixels: the continuation of triple_brute.py.
 
 The light of every sample is spread as at its own place, with the wavefront of Seidel there (Welford, chapter 7) and its
-own lateral colour; a pixel takes the mean of what it gathers, so that flat fields stay flat. Within NEAR samples of the
+own lateral colour; a point keeps its light, and a flat field is the sum of its points. Within NEAR samples of the
 pixel spreads are polynomials in the place, of degree NODES - 1; what comes from farther is spread as at the pixel.
 """
 
@@ -56,10 +56,11 @@ def spread_from(scene, camera, place, band, reach) -> np.ndarray:
     return apertured(chord_spread(q, waves, at - lateral * y, at - lateral * x), fine, reach, (side, side), (0.0, 0.0))
 
 
-def gathered(scene, camera, pixel, band, reach) -> np.ndarray:
-    """What a pixel gets of a light of 1 at each sample around it, (2 reach + 1, 2 reach + 1)."""
+def gathered(scene, camera, pixel, band, reach) -> tuple[np.ndarray, float]:
+    """What a pixel gets of a light of 1 at each sample around it, (2 reach + 1)^2, and all that a point gives there."""
     limits = np.array([[-scene.margin] * 2, np.array(scene.shape) - 1 + scene.margin])
     out = spread_from(scene, camera, np.array(pixel), band, reach)[::-1, ::-1]
+    whole = out.sum()
     first, last = np.clip(np.add(pixel, [[-NEAR] * 2, [NEAR] * 2]), *limits)  # places beyond are as the outermost
     unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     places = [(one + other) / 2 + (other - one) / 2 * unit for one, other in zip(first, last, strict=True)]
@@ -72,7 +73,7 @@ def gathered(scene, camera, pixel, band, reach) -> np.ndarray:
         own = spread_from(scene, camera, np.array([places[0][i], places[1][j]]), band, NEAR + SPARE)
         near += own[SPARE:-SPARE, SPARE:-SPARE][::-1, ::-1] * basis[0][:, i, None] * basis[1][:, j]
     out[reach - NEAR : reach + NEAR + 1, reach - NEAR : reach + NEAR + 1] = near
-    return out
+    return out, whole
 
 
 def electrons_at(scene, camera, seconds: float, pixels) -> np.ndarray:
@@ -91,8 +92,8 @@ def electrons_at(scene, camera, seconds: float, pixels) -> np.ndarray:
             plane = spectra(scene.content, band)
             window = np.pad(plane, reach, mode=MODES[scene.border])[row + margin : row + margin + 2 * reach + 1,
                                                                     col + margin : col + margin + 2 * reach + 1]
-            found = gathered(scene, camera, (row, col), band, reach)
-            own = share[band] / (found.sum() + energy_beyond(Spread(q[band]), reach))
+            found, whole = gathered(scene, camera, (row, col), band, reach)
+            own = share[band] / (whole + energy_beyond(Spread(q[band]), reach))
             afar += own * q[band] * plane
             out[number] += own * np.vdot(found, window)
         far = from_afar(afar, Spread(1.0), reach, scene.border, *(

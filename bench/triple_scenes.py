@@ -41,7 +41,8 @@ WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 class Triple:
     """A question to the planner: `scene` by `camera`, to within `tolerance`.
 
-    kind, border, lens: of KINDS, BORDERS and LENSES. words: all of it in one line.
+    kind, border, lens: of KINDS, BORDERS and LENSES. words: all of it in one line. features: what it combines. is_near:
+    whether the tolerance is to be moved to where the planner just says that it is met.
     """
 
     seed: int
@@ -52,6 +53,8 @@ class Triple:
     border: str
     lens: str
     words: str
+    features: tuple[str, ...] = ()
+    is_near: bool = False
 
 
 def triple(seed: int, data: Path | None = None) -> Triple | None:

@@ -2,6 +2,7 @@
 
 `python bench/triples.py --half development --data FOLDER --json triples.json` asks and judges;
 `python bench/triples.py --summary triples.json` tells it again.
+`python bench/triples.py --kinds combined --seeds 34000:34200 --workers 16 --json combined.json` judges from outside.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+import triple_judge
 from results import count, finish, load, parser, ready, rms, start
 from triple_scenes import DEVELOPMENT, HELD_OUT, TOLERANCES, triple
 from triple_summary import summary
@@ -39,15 +41,22 @@ PROBES = 2  # pixels of a blur that varies over the field at which the truth is 
 def main():
     """Ask, judge, print and store."""
     made = parser(__doc__)
+    made.add_argument("--kinds", choices=triple_judge.KINDS, help="judge fresh seeds of these kinds from outside")
+    made.add_argument("--limit", type=count, default=triple_judge.LIMIT, metavar="SECONDS",
+                      help=f"for a question of --kinds (default: {triple_judge.LIMIT})")
+    made.add_argument("--only-met", action="store_true", help="with --kinds: judge only frames called met")
     made.add_argument("--half", choices=HALVES, default="development", help="which seeds (default: development)")
     made.add_argument("--seeds", metavar="LIST", help="these of them alone, such as 3,5,20-29")
     made.add_argument("--data", type=Path, metavar="FOLDER", help="measured scenes; without it there are none")
-    made.add_argument("--jobs", type=count, default=1, help="processes (default: 1)")
+    made.add_argument("--jobs", "--workers", type=count, default=1, help="processes (default: 1)")
     made.add_argument("--time", action="store_true", help="time frames with and without the tolerance, too")
     made.add_argument("--brute", action="store_true", help="judge the truth by sums that share nothing with it")
     made.add_argument("--monotone", action="store_true", help="ask some scenes for every tolerance instead")
     made.add_argument("--summary", metavar="FILE", help="of a stored result: nothing is run")
     arguments = made.parse_args()
+    if arguments.kinds:
+        ask_kinds(arguments)
+        return
     if arguments.summary:
         print(summary(load(arguments.summary)["rows"])[0])
         return
@@ -65,23 +74,42 @@ def main():
     finish(arguments, "triples", device, rows, old, half=arguments.half)
 
 
+def ask_kinds(arguments):
+    """Judge fresh questions from outside; rows go to FILE.rows as they come, and a run that was stopped goes on."""
+    if arguments.summary:
+        rows = [row for line in Path(arguments.summary).read_text().splitlines() for row in json.loads(line)[1]]
+        print(triple_judge.summary(rows))
+        return
+    device, old = ready(arguments, "triples")
+    seeds = sorted(chosen(arguments.seeds, triple_judge.KINDS[arguments.kinds]))
+    ask = partial(triple_judge.asked, kinds=arguments.kinds, device=device.name, data=arguments.data,
+                  limit=arguments.limit, only_met=arguments.only_met)
+    rows = run(ask, seeds, arguments.jobs, kept=arguments.json and Path(f"{arguments.json}.rows"),
+               words=triple_judge.line, apart=triple_judge.run)
+    print(triple_judge.summary(rows))
+    finish(arguments, "triples", device, rows, old, kinds=arguments.kinds)
+
+
 def chosen(text: str | None, allowed) -> set:
     """Numbers of a list such as 3,5,20-29; all that are allowed for None. Raises BadFile for what is no list."""
     if text is None:
         return set(allowed)
     found = set()
     for part in text.split(","):
-        match = re.fullmatch(r"(\d{1,4})(?:-(\d{1,4}))?", part)
+        match = re.fullmatch(r"(\d{1,6})(?:([-:])(\d{1,6}))?", part)
         if not match:
-            raise BadFile(f"--seeds {text}", f"{part!r} is no seed; wanted numbers such as 3,5,20-29")
-        found |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
+            raise BadFile(f"--seeds {text}", f"{part!r} is no seed; wanted numbers such as 3,5,20-29 or 0:160")
+        last = int(match[3] or match[1])
+        found |= set(range(int(match[1]), last + (match[2] != ":")))
     return found
 
 
-def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None) -> list[dict]:
+def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None, words=None,
+        apart=None) -> list[dict]:
     """Rows of all seeds, in their order; several processes ask if wanted.
 
     kept: a file to which rows are added as they come, one line of JSON for each seed: a run that was stopped goes on.
+    words: of a row, in place of `line`. apart: runs them in processes that may die.
     """
     found: dict = {}
     if kept and kept.is_file():
@@ -92,11 +120,13 @@ def run(ask, seeds, jobs: int = 1, quiet: bool = False, kept: Path | None = None
         found[seed] = rows
         if kept:
             with kept.open("a") as file:
-                file.write(json.dumps([seed, rows]) + "\n")
+                file.write(json.dumps([seed, plain(rows)]) + "\n")
         for row in [] if quiet else rows:
-            print(f"{len(found)}/{len(seeds)} {line(row)}", flush=True)
+            print(f"{len(found)}/{len(seeds)} {(words or line)(row)}", flush=True)
 
-    if jobs == 1:
+    if apart:
+        apart(ask, todo, jobs, add)
+    elif jobs == 1:
         for seed in todo:
             add(seed, ask(seed))
     else:

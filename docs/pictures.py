@@ -47,6 +47,7 @@ def main():
         gallery(Path(folder))
         wide(gs.open_scene(photo, luminance=2))
     accuracy()
+    still_events()
 
 
 def gallery(folder):
@@ -111,6 +112,28 @@ def accuracy():
         axis.set_axis_off()
     figure.colorbar(image, ax=axes, shrink=0.8, pad=0.01, label="log10 of error over noise")
     figure.savefig(HERE / "accuracy.png", dpi=110, bbox_inches="tight")
+    plt.close(figure)
+
+
+def still_events():
+    """Noise events of an event camera over the light, by gpusim and by v2e (see video.md)."""
+    from matplotlib import pyplot as plt
+
+    camera = gs.open_camera("phone").with_(f_number=2.8, pixel_pitch_um=18.5)
+    simulate, sensor = gs.Simulator(camera), gs.EventSensor(mismatch=0.25)
+    luminances = np.geomspace(0.03, 300, 13)
+    rates = [len(gs.events_of(simulate, gs.chart("flat", size=(32, 32), luminance=float(luminance)), gs.Motion(), 3.0,
+                              sensor)) / 32**2 / 3 for luminance in luminances]
+    figure, axis = plt.subplots(figsize=(5, 3))
+    axis.loglog(luminances, rates, label="gpusim: cutoff 30 Hz, noise 5 Hz")
+    published = [0.1, 1, 10, 100]
+    axis.loglog(published, [5.12, 5.08, 4.75, 1.37], "o", label="v2e, noisy preset")
+    axis.loglog(published, [6.50] * 4, "s", mfc="none", label="v2e, --photoreceptor_noise")
+    axis.set_xlabel("luminance of white [cd/m$^2$]")
+    axis.set_ylabel("events per pixel and second")
+    axis.set_ylim(0.5, 20)
+    axis.legend(fontsize=8)
+    figure.savefig(HERE / "still-events.png", dpi=110, bbox_inches="tight")
     plt.close(figure)
 
 

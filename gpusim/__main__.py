@@ -32,6 +32,10 @@ def start() -> int:
 
 def _run():
     """Run the command with a standard output that may be closed, full or without some letters."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed: what is written there goes nowhere
+            # the lowest free number, which is the closed one's: no file that is opened later takes its place
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:

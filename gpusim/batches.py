@@ -17,6 +17,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.scenes import LIGHT, LUMINANCE
+from gpusim.planner.plan import Plan
 from gpusim.program.batch import one_each
 from gpusim.simulator import Simulator
 
@@ -34,16 +35,19 @@ class Batch:
     pictures' channels [nm], shape (L,); None: linear sRGB (3 channels) or grey (1). light: name for `illuminant` in
     which the pictures are reflectances, white 1; None: of spectral ones, whose values are radiance
     [W sr-1 m-2 nm-1]. luminance: of white in it [cd m-2]. tolerance: as for `Simulator`: a plan for each picture, which
-    takes time; without one there is one for each shape. options: of every Scene, such as border.
-    A frame depends on its picture, its settings, its number and the seed, and on nothing else of its batch: any number
-    of workers makes the same data. Raises as `Simulator` does, BadData, OutOfRange for the light.
+    takes time; without one there is one for each shape. plan: for all pictures, see `Simulator`. options: of every
+    Scene, such as border.
+    A frame depends on its picture, its settings, its number, the seed and the plan, and on nothing else of its batch:
+    any number of workers makes the same data. plans: by which the pictures of the last call were made, one for each; a
+    plan's `scene` is one. Raises as `Simulator` does, BadData, OutOfRange for the light.
     """
 
     def __init__(self, camera, *, device="auto", output: str = "raw", wavelengths=None, light: str | None = LIGHT,
-                 luminance: float = LUMINANCE, tolerance=None, **options):
+                 luminance: float = LUMINANCE, tolerance=None, plan: Plan | None = None, **options):
         self.simulator = Simulator(camera, device=device, tolerance=tolerance)
         self.simulator.batch(1, output)  # which knows the outputs
-        self.output, self._options = output, options
+        self.output, self._options, self._plan = output, options, plan
+        self.plans: list[Plan] = []
         self.wavelengths = None if wavelengths is None else np.asarray(wavelengths, np.float64)
         if light is not None:
             self._light = white_radiance(illuminant(light), luminance)
@@ -73,16 +77,24 @@ class Batch:
                           f"{' or '.join(map(str, channels))} channels")
         if type_of(values) not in (np.float16, np.float32, np.float64):
             raise BadData(f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes")
+        lowest = values.min().item() if hasattr(values, "min") else 0  # only the device knows those of Warp
+        if not lowest >= 0:
+            found = "negative light" if lowest < 0 else "NaN"
+            raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
         settings = {"camera": camera, "exposure_time": _listed(exposure_time), "gain": _listed(gain)}
-        if self.simulator.tolerance is None:
-            frames = self._batch(shape)(scenes, seed=seed, frame=first, **settings)
+        if self.simulator.tolerance is None or self._plan is not None:
+            batch = self._batch(shape)
+            frames = batch(scenes, seed=seed, frame=first, **settings)
+            self.plans = batch.plans
             return self._given_back(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
-        frames = [self.simulator.batch(1, self.output)(scene, seed=seed, frame=first + item, **{
-            name: given[item] for name, given in each.items()}) for item, scene in enumerate(scenes)]
-        return self._given_back(pictures, np.concatenate([
-            np.array(self.simulator.device.numpy(one)) for one in frames]))
+        batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
+        for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
+            one = batch(scene, seed=seed, frame=first + item, **{name: given[item] for name, given in each.items()})
+            frames.append(np.array(self.simulator.device.numpy(one)))
+        self.plans = [batch.plans[0] for batch in batches]
+        return self._given_back(pictures, np.concatenate(frames))
 
     def _given_back(self, pictures, frames):
         made = _as(pictures, self.simulator.device, frames)
@@ -102,7 +114,7 @@ class Batch:
         """Programs for batches of this shape; those of the last SHAPES are kept."""
         if shape not in self._batches:
             grey = self._scene(np.full(shape[1:], GREY, np.float32))
-            self._batches[shape] = self.simulator.batch(shape[0], self.output, planned_for=grey)
+            self._batches[shape] = self.simulator.batch(shape[0], self.output, planned_for=grey, plan=self._plan)
             if len(self._batches) > SHAPES:
                 self._batches.popitem(last=False)
         self._batches.move_to_end(shape)

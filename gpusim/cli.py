@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from gpusim import __version__, look
+from gpusim.domain.account import STATUS
 from gpusim.domain.errors import BadFile, GpusimError, UnknownName, one_line
 from gpusim.l3 import cli as train_l3
 from gpusim.options import DEVICE_HELP, add_asked, operated, scene_of, size, whole
@@ -84,7 +85,8 @@ def _plan(arguments):
     if arguments.json:
         with atomic_path(arguments.json) as temporary:
             temporary.write_text(json.dumps(forecast.as_dict(), indent=2) + "\n")
-    return 0 if forecast.plan.verdict is None or forecast.plan.verdict.met else 1
+    verdict = forecast.plan.verdict
+    return 0 if verdict is None else STATUS[verdict.state]
 
 
 def _numbered(path, count):
@@ -300,7 +302,7 @@ def _parser():
     simulate.set_defaults(run=_simulate)
 
     plan = commands.add_parser("plan", help="what would be modelled, what left out, the errors and the time; status 1 "
-                               "where a tolerance is not met")
+                               "if a tolerance is not met, 3 if that cannot be judged")
     add_asked(plan)
     plan.add_argument("--json", metavar="FILE", help="write it")
     plan.set_defaults(run=_plan)

@@ -42,12 +42,12 @@ class Forecast:
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         plan = self.plan
-        return {"scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
+        return {"plan": plan.name, "scene": plan.scene.name, "camera": plan.camera.name, "device": self.device,
                 "models": plan.models, "left_out": plan.left_out,
-                "bounds": {name: asdict(bound) for name, bound in plan.account.bounds.items()},
-                "predicted": asdict(plan.account.total), "beside": plan.beside,
+                "bounds": {name: bound.as_dict() for name, bound in plan.account.bounds.items()},
+                "predicted": plan.account.total.as_dict(), "beside": plan.beside,
                 "tolerance": plan.tolerance and asdict(plan.tolerance),
-                "verdict": plan.verdict and asdict(plan.verdict), "ms": self.ms, "frame_ms": sum(self.ms.values()),
+                "verdict": plan.verdict and plan.verdict.as_dict(), "ms": self.ms, "frame_ms": sum(self.ms.values()),
                 "bytes": plan.bytes_needed,
                 "front": [{"ms": ms, **option.as_dict()} for ms, option in self.front]}
 
@@ -57,6 +57,7 @@ class Forecast:
                  f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"]
         lines += [f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
                   for stage in [*plan.models, *(stage for stage in self.ms if stage not in plan.models)]]
+        lines.append(f"  plan: {plan.name}")
         lines += [f"  not modelled: {what}" for what in plan.left_out]
         lines += self._errors()
         lines += [f"  beside: {name} {value:.2g}" for name, value in plan.beside.items()]
@@ -74,11 +75,12 @@ class Forecast:
         """A bar for every error, of the figure that the tolerance binds most."""
         bounds = self.plan.account.bounds
         _, figure, *_, unit = self.plan.account.total.nearest(self._tolerance)
-        values = {name: getattr(bound, figure) for name, bound in bounds.items()}
+        values = {name: getattr(bound, figure) for name, bound in bounds.items() if bound.is_known}
         values["all together"] = getattr(self.plan.account.total, figure)
         most = max(values.values()) or 1.0
         return [f"  error: {name:22s} {value:8.2g}{unit}  {'#' * int(np.ceil(BAR * value / most))}"
-                for name, value in values.items()]
+                for name, value in values.items()] + [
+                    f"  error: {name:22s} not known" for name, bound in bounds.items() if not bound.is_known]
 
 
 def _varied(plan, option):

@@ -4,7 +4,9 @@ import argparse
 import dataclasses
 import math
 import re
+from collections import Counter
 
+from gpusim.domain.account import SHOWN
 from gpusim.domain.errors import BadData, OutOfRange
 
 TIME = re.compile(r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+)(?:/(\d+\.?\d*))? ?(s|ms|us)?", re.ASCII)
@@ -179,3 +181,13 @@ def _wavelengths(text):
     except (ValueError, ZeroDivisionError, OverflowError):
         raise argparse.ArgumentTypeError(f"{text!r}: wanted FIRST:LAST:STEP, such as 400:700:10, or a list such as "
                                          "450,550,650") from None
+
+
+def describe_verdicts(states: Counter) -> str:
+    """States of verdicts, each with the number of its frames, as the end of a line; "" without a tolerance."""
+    if not states:
+        return ""
+    worst, *rest = sorted(states, key=("not met", "not judged", "met").index)
+    words = [f"in {states[worst]} of {states.total()} frames" if rest else "", *(
+        f"{SHOWN[state]} in {states[state]}" for state in rest)]
+    return f"; tolerance {SHOWN[worst]} {', '.join(filter(None, words))}".rstrip()

@@ -35,6 +35,8 @@ class Readout:
     """
 
     def __init__(self, sensor: Sensor, device: Device | str = "auto", kept: Kept | None = None):
+        if not isinstance(sensor, Sensor):
+            raise BadData(f"readout: {type(sensor).__name__}, wanted a Sensor, such as a camera's")
         self.sensor, self.device = sensor, open_device(device) if isinstance(device, str) else device
         self.stride, mosaic = binned(sensor.cfa_indices, sensor.binning)
         charge = sensor.binning_mode == "charge"

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from gpusim.domain.account import Account, Verdict
+from gpusim.domain.account import Account, Bound, Verdict
 from gpusim.domain.brief import shortened
 from gpusim.domain.shown import Tabled
 from gpusim.domain.tolerance import Tolerance
@@ -74,7 +74,7 @@ class Report(Tabled):
     the scene as sampled. beside: those that are no part of it, such as what the samples leave out. left_out: what was
     not modelled. error: the true error where it was asked for. verdict: whether the tolerance is met by what is
     predicted.
-    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included.
+    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included. plan: its name.
     """
 
     scene: dict
@@ -91,6 +91,7 @@ class Report(Tabled):
     notes: list[str] = field(default_factory=list)
     verdict: Verdict | None = None
     wall_ms: float = 0.0
+    plan: str = ""
 
     @property
     def ms(self) -> float:
@@ -110,24 +111,41 @@ class Report(Tabled):
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
-        return asdict(self) | {"ms": self.ms, "meets_tolerance": self.meets_tolerance,
-                               "prediction_ratio": self.prediction_ratio, "predicted": asdict(self.account.total)}
+        return asdict(self) | {"account": self.account.as_dict(), "ms": self.ms,
+                               "meets_tolerance": self.meets_tolerance, "prediction_ratio": self.prediction_ratio,
+                               "predicted": self.account.total.as_dict(),
+                               "verdict": self.verdict and self.verdict.as_dict()}
+
+    @property
+    def errors(self) -> list[tuple[str, Bound]]:
+        """Name and bound of every predicted error, and of all that are known together."""
+        bounds = self.account.bounds
+        last = "all together" if all(bound.is_known for bound in bounds.values()) else "all known together"
+        return [*bounds.items(), (last, self.account.total)]
+
+    @property
+    def _border(self):
+        """Error of the border, if no tolerance limits it."""
+        border = self.account.bounds.get("border")
+        if self.tolerance is not None or border is None:
+            return ""
+        return f"; no tolerance: border error rms {border.rms:.2g}, largest {border.max_sigma:.2g} sigma, predicted"
 
     def __repr__(self):
         named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
-        verdict = "" if self.verdict is None else f", tolerance {'met' if self.verdict.met else 'NOT met'}"
+        verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
         return shortened(f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
                          f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})")
 
     def __str__(self):
         lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
                  f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
-                 f"{self.camera['iso']:.4g}, frame {self.frame}"]
+                 f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"]
         lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
         lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
-        for name, bound in [*self.account.bounds.items(), ("all together", self.account.total)]:
-            lines.append(f"  predicted: {name:22s} rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest "
-                         f"{bound.max_sigma:.2g} sigma")
+        lines += [f"  predicted: {name:22s} " + (
+            f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+            if bound.is_known else "not known") for name, bound in self.errors]
         lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
         if self.error:
             error = self.error
@@ -142,5 +160,6 @@ class Report(Tabled):
                            f"predicted {verdict}")
             lines.append(f"  tolerance: {verdict}")
         lines.append(f"  not modelled: {'; '.join(self.left_out)}")
+        lines += [f"  plan: {self.plan}"] * bool(self.plan)
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)

@@ -11,7 +11,8 @@ from gpusim.backends.tape import OwnTape, noted
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
-from gpusim.domain.scene import Scene
+from gpusim.domain.foreign import is_array
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.frame import Exposure, Frame
 from gpusim.planner.facts import Facts
@@ -23,7 +24,7 @@ from gpusim.program.kept import Kept
 from gpusim.program.planning import checked_reach, planned
 from gpusim.program.program import Program
 from gpusim.program.shots import Shots
-from gpusim.program.stream import stream
+from gpusim.program.stream import Stream
 from gpusim.readout import Readout
 from gpusim.report import Error
 from gpusim.truth import require_truth, true_error
@@ -77,17 +78,19 @@ class Simulator:
         """The same with another camera, used in turn with this one: both keep what is theirs, and tables are shared."""
         return copy(self)._connect(camera, Kept(), tables)
 
-    def batch(self, count: int, output: str = "codes", planned_for: Scene | None = None) -> Batch:
+    def batch(self, count: int, output: str = "codes", planned_for: Scene | None = None,
+              plan: Plan | None = None) -> Batch:
         """Frames of several scenes, or of several settings, in one array: see `gpusim.program.batch.Batch`."""
-        return Batch(self, count, output, planned_for)
+        return Batch(self, count, output, planned_for, plan)
 
     def program(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-                meters_late: bool = False) -> Program:
+                meters_late: bool = False, plan: Plan | None = None) -> Program:
         """Frames of a scene, in which what a change does not touch is kept: see `Program`."""
-        return Program(self, scene, exposure_time, gain, meters_late)
+        return Program(self, scene, exposure_time, gain, meters_late, plan=plan)
 
     def stream(self, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
-               exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
+               exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True,
+               plan: Plan | None = None) -> Stream:
         """One frame of every scene, an array of the device, which is written anew for the next one.
 
         output: a name of `gpusim.program.outputs.OUTPUTS`, such as "codes" or "raw". seed: of the noise;
@@ -96,40 +99,49 @@ class Simulator:
         else every frame by its own, which waits for the device. The next scene goes to the device while this one is
         computed: arrays of a scene may be written to again when the scene after the next is asked for. A plan is kept
         while scenes are of one kind and it fits them, which the device looks at in each, and probes now and then: see
-        `Program`. Raises as `frames` does.
+        `Program`; `plan` makes all frames instead. The stream's `plan` is that of its last frame. Raises as `frames`
+        does.
         """
-        return stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
-                      meters_late=meters_late)
+        return Stream(self, scenes, output, seed=seed, first=first, exposure_time=exposure_time, gain=gain,
+                      meters_late=meters_late, plan=plan)
 
     @overload
-    def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False) -> Frame: ...
+    def __call__(self, scene: Scene, *, seed: int = 0, frame: int = 0, verify: bool = False,
+                 plan: Plan | None = None) -> Frame: ...
 
     @overload
-    def __call__(self, scene: Iterable[Scene], *, seed: int = 0, frame: int = 0,
-                 verify: bool = False) -> Iterator[Frame]: ...
+    def __call__(self, scene: Iterable[Scene], *, seed: int = 0, frame: int = 0, verify: bool = False,
+                 plan: Plan | None = None) -> Iterator[Frame]: ...
 
-    def __call__(self, scene, *, seed=0, frame=0, verify=False):
+    def __call__(self, scene, *, seed=0, frame=0, verify=False, plan=None):
         """One frame of `scene`, of number `frame`; see `frames`.
 
         Of several scenes, a list or what gives them one by one, an iterator of one frame of each, numbered from `frame`
         on: each is made when it is asked for, and is what its scene and number give by themselves. `stream` is faster
-        where their arrays are enough.
+        where their arrays are enough. Raises as `frames` does: at the call for what is no scene, also in a list.
         """
-        if isinstance(scene, Iterable) and not isinstance(scene, str):
-            return (self(one, seed=seed, frame=number, verify=verify) for number, one in enumerate(scene, frame))
-        return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify))
+        if isinstance(scene, Iterable) and not isinstance(scene, str | bytes) and not is_array(scene):
+            for one in scene if isinstance(scene, list | tuple | set | dict) else ():
+                checked_scene(one)
+            return (self(one, seed=seed, frame=number, verify=verify, plan=plan)
+                    for number, one in enumerate(scene, frame))
+        return next(self.frames(scene, 1, seed=seed, first=frame, verify=verify, plan=plan))
 
     def frames(self, scene: Scene, count: int, *, seed: int = 0, first: int = 0,
-               verify: bool = False) -> Iterator[Frame]:
+               verify: bool = False, plan: Plan | None = None) -> Iterator[Frame]:
         """`count` noisy frames of one scene, numbered from `first`; the mean electrons are computed once.
 
         seed: names the noise; frame n of a seed is the same whatever else is drawn. verify: also run the float64
         reference and report the true error.
         Raises BadData, DoesNotFit (memory, before anything is allocated), OutOfRange.
         """
+        checked_count("count of frames", count)
+        return self._frames(checked_scene(scene), count, seed, first, verify, plan)
+
+    def _frames(self, scene, count, seed, first, verify, plan):
         if verify:
             require_truth(self.camera, scene)
-        exposure = self.expose(scene)
+        exposure = self.expose(scene, plan=plan)
         error = true_error(self, scene, exposure) if verify else None
         yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
 
@@ -150,14 +162,17 @@ class Simulator:
         """
         return planned(self, scene, facts, exposure_time, least)
 
-    def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0) -> Exposure:
+    def expose(self, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
+               plan: Plan | None = None) -> Exposure:
         """Mean electrons of `scene`; the exposure time [s] is the camera's unless given, automatic if that is None.
 
         Automatic exposure is as the sensor's `auto_exposure` says, and chooses the analog gain too. gain: beside the
         sensor's, with a time that is given or the camera's: `expose(scene, last.exposure_time, last.gain)` keeps what
         was metered before. Raises BadData, DoesNotFit, OutOfRange.
         """
-        return replace(self.program(scene, exposure_time, gain).exposure, is_rewritten=False)
+        program = self.program(scene, exposure_time, gain, plan=plan)
+        exposure = program.exposure
+        return replace(exposure, plan=program.scene_plan, is_rewritten=False)
 
     def draw(self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None) -> Any:
         """Raw values around the exposure's `chip_mean`, an array of the device; equal on all for equal means.

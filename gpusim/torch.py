@@ -17,6 +17,7 @@ from gpusim.domain.errors import BadData
 from gpusim.io.scenes import open_scene
 from gpusim.pairs.pairs import Pairs
 from gpusim.pairs.variety import Variety
+from gpusim.planner.plan import Plan
 from gpusim.simulator import Simulator
 
 
@@ -39,7 +40,7 @@ class PairSet(Dataset):
     """Noisy raw values of photographs and the light that they are of, as `gpusim pairs` makes them.
 
     photographs: files. camera: a Camera. vary: as for `gpusim pairs --vary`, "" for nothing. each: pairs of every
-    photograph. device, tolerance: as for `Simulator`. pictures: codes beside them. options: of `open_scene`.
+    photograph. device, tolerance, plan: as for `Simulator`. pictures: codes beside them. options: of `open_scene`.
     An item has "raw" (rows, cols), "clean" (rows, cols) [DN], "rgb" (3, rows, cols) if asked for, as tensors, and
     "told". It depends on its number and the seed alone. Each process that asks for items opens the device for itself;
     forked ones cannot where their parent has done so before: start them by "spawn" then.
@@ -47,7 +48,7 @@ class PairSet(Dataset):
     """
 
     def __init__(self, photographs: Sequence, camera, *, vary: str = "", each: int = 1, seed: int = 0, device="auto",
-                 tolerance="video", pictures: bool = False, **options):
+                 tolerance="video", pictures: bool = False, plan: Plan | None = None, **options):
         self._photographs = [Path(path) for path in photographs]
         if not self._photographs:
             raise BadData("photographs: none, wanted the names of some files")
@@ -56,7 +57,7 @@ class PairSet(Dataset):
             variety = Variety.parse(vary) if vary else Variety()
         except ArgumentTypeError as error:  # of a command line's option
             raise BadData(f"vary: {error}") from None
-        self._asked = variety, each, seed, pictures
+        self._asked = variety, each, seed, pictures, plan
         self._options, self._pairs, self._process = options, None, 0
         Simulator(camera, device="numpy", tolerance=tolerance)  # says what is wrong, and opens no driver: see below
 

@@ -29,6 +29,14 @@ EMPTY = {"name": "", "device": "", "driver": "", "version": "", "units": 0, "fp6
          "memory": 0, "copy_gbps": 0.0, "error": ""}
 KINDS = {key: type(value) for key, value in EMPTY.items()}
 PATIENCE = 600  # [s] until a device that failed is tried again: its driver may have been mended, the machine less busy
+HELPER = """
+import runpy, sys
+_, folder, argument = sys.argv
+if folder not in sys.path:  # a checkout that is not installed, or not this one
+    sys.path.insert(0, folder)
+sys.argv = ["gpusim", argument]
+runpy.run_module("gpusim.backends.probe", run_name="__main__", alter_sys=True)
+"""
 DRIVERS = {"linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)", "darwin": "PoCL (conda-forge: pocl)",
            "win32": "Intel's CPU Runtime for OpenCL"}
 log = logging.getLogger(__name__)
@@ -164,9 +172,9 @@ def _try(name):
 
 
 def _run(argument):
-    # -P: in the source folder Python would import ./gpusim, which has no kernels, and not the installed package
-    return subprocess.run([sys.executable, "-P", "-m", "gpusim.backends.probe", argument], capture_output=True,
-                          text=True, timeout=TIME_LIMIT, check=False)
+    # -P: of this package, and not of another one in the folder where it is run
+    return subprocess.run([sys.executable, "-P", "-c", HELPER, str(Path(__file__).parents[2]), argument],
+                          capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
 
 
 def _list():

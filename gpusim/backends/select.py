@@ -19,6 +19,8 @@ def open_device(name: str = "auto") -> Device:
     of its platform's or its own name), "warp:cpu", "warp:cuda:0", or "auto" (the best of all; see `gpusim devices`).
     Raises DeviceError that lists what there is.
     """
+    if not isinstance(name, str):
+        raise DeviceError(f"device: {type(name).__name__}, wanted a name, such as \"auto\" or \"opencl:0\"")
     with _lock:
         return _opened(name)
 

@@ -9,19 +9,21 @@ from gpusim.domain.exposure import bracket_times, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.frame import Exposure, Frame
 from gpusim.kernels.sensor.chip import chip
+from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
 from gpusim.program.program import exposed
 from gpusim.simulator import Simulator
 
 
-def bracket(simulator: Simulator, scene: Scene, stops, *, seed: int = 0, first: int = 0) -> list[Frame]:
+def bracket(simulator: Simulator, scene: Scene, stops, *, seed: int = 0, first: int = 0,
+            plan: Plan | None = None) -> list[Frame]:
     """Frames exposed `stops` longer than the camera would, such as (-2, 0, 2); numbered from `first`.
 
-    The mean electrons are computed once. Raises as `Simulator.frames` does. `merge_bracket` makes one picture of high
-    dynamic range of them.
+    The mean electrons are computed once. plan: see `Simulator`. Raises as `Simulator.frames` does. `merge_bracket`
+    makes one picture of high dynamic range of them.
     """
     factors = bracket_times(1.0, stops)
-    once = simulator.expose(scene)
+    once = simulator.expose(scene, plan=plan)
     frames: list[Frame] = []
     for number, factor in enumerate(factors):
         exposure = lengthened(simulator, once, once.exposure_time * float(factor))

@@ -3,11 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import ceil, inf
+from numbers import Real
 
 import numpy as np
 
 from gpusim.captures.moving import STEP, farthest
-from gpusim.domain.errors import BadData, OutOfRange, checked_count
+from gpusim.captures.photoreceptor import RATES, Photoreceptor
+from gpusim.domain.errors import BadData, OutOfRange, checked_count, shown
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.simulator import Simulator
@@ -25,8 +27,15 @@ class EventSensor:
     on, off: change of the natural logarithm of the light that makes an event. mismatch: standard deviation of both
     from pixel to pixel, over themselves. refractory: time after an event in which a pixel sees nothing; what it
     compares with is its light at the end of it [s]. leak: events on a second that a pixel makes in steady light [Hz].
-    dark: electrons that flow in darkness [e- s-1]. window: time over which a pixel averages the electrons that it sees
-    at an instant, whose number scatters by Poisson; 0: it does not [s]. seed: of mismatch and scatter.
+    dark: electrons that flow in darkness [e- s-1]. seed: of mismatch and noise.
+    cutoff, noise, charge: of the photoreceptor and the source follower behind it, see `photoreceptor`. cutoff: where
+    a bright pixel's response has lost 3 dB [Hz]; in dim light it is slower. noise: events on and off a second that
+    the amplifier's noise makes in dim light, in the mean over the pixels [Hz]; in bright light it makes about half.
+    Photons add to it. charge: electrons by which the photoreceptor changes by an e-fold [e-]; the electrons per second
+    over 2 pi charge are its own cutoff [Hz].
+    window: None, or an ideal pixel without a photoreceptor: its output is the light as it is, averaged over this time
+    [s], in which the number of electrons scatters by Poisson; 0: it does not.
+    The defaults are the noisy preset of v2e (shot noise 5 Hz, cutoff 30 Hz, leak 0.1 Hz), but for its mismatch of 0.25.
     Source: Lichtsteiner, Posch and Delbruck, IEEE J. Solid-State Circuits 43 (2008), 566. Raises OutOfRange.
     """
 
@@ -36,25 +45,33 @@ class EventSensor:
     refractory: float = 0.0
     leak: float = 0.1
     dark: float = 10.0
-    window: float = 0.001
+    window: float | None = None
     seed: int = 0
+    cutoff: float = 30.0
+    noise: float = 5.0
+    charge: float = 500.0
 
     def __post_init__(self):
         for name, low in (("on", LEAST_THRESHOLD), ("off", LEAST_THRESHOLD), ("mismatch", 0), ("refractory", 0),
-                          ("leak", 0), ("dark", 0), ("window", 0)):
+                          ("leak", 0), ("dark", 0), ("window", 0), ("cutoff", 0), ("noise", 0), ("charge", 1)):
             value = getattr(self, name)
-            if not low <= value < inf:
-                raise OutOfRange(f"events.{name}", value, f"{low:g} or more")
+            if not (name == "window" and value is None) and not (isinstance(value, Real) and low <= value < inf):
+                raise OutOfRange(f"events.{name}", shown(value), f"{low:g} or more")
         if not self.dark > 0:
             raise OutOfRange("events.dark", self.dark, "above 0, or darkness has no logarithm")
+        if not self.cutoff > 0:
+            raise OutOfRange("events.cutoff", self.cutoff, "above 0 Hz; window = 0 is an ideal pixel")
+        if self.noise > RATES[0] * self.cutoff:
+            raise OutOfRange("events.noise", self.noise, f"up to {RATES[0]:.3g} times the cutoff of {self.cutoff:g} Hz")
         checked_count("events.seed", self.seed, 0, 2**64 - 1)
 
     def events(self, times, rates: Iterable[np.ndarray]) -> np.ndarray:
         """Events of light at rising instants [s]; rates: of electrons there, each (rows, cols) [e- s-1].
 
-        Between two instants the logarithm of the light changes linearly; each is scattered by itself, so that instants
-        a `window` apart have the noise of such pixels, and fewer have less. Returns an array of EVENT, by time: t [s],
-        column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
+        Between two instants the logarithm of the light changes linearly. The photoreceptor goes on in steps of its
+        own, so that its noise does not depend on the instants. With a `window` each instant is scattered by itself, so
+        that instants a window apart have the noise of such pixels, and fewer have less. Returns an array of EVENT, by
+        time: t [s], column x, row y, p 1 or -1. Raises BadData for times and rates that are not so.
         """
         times, found, state = np.asarray(times, np.float64), [], None
         if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
@@ -70,15 +87,20 @@ class EventSensor:
                 raise BadData(f"rates of events at {time:g} s: shape {light.shape}; wanted finite light (rows, cols)")
             if state is None:
                 state = _Pixels(self, light.shape, random)
+                front = Photoreceptor(self, random) if self.window is None else None
             elif light.shape != state.shape:
                 raise BadData(f"rates of events at {time:g} s: {light.shape}, wanted {state.shape} as before")
             if self.window:
                 light = random.poisson(light * self.window) / self.window
             logarithm = np.log(light + self.dark).ravel()
-            if number:
-                found += state.seen(time, logarithm)
+            if not number:
+                state.begin(time, front.begin(logarithm) if front else logarithm)
+            elif front:
+                begun = times[number - 1]
+                for part, output in front.seen(logarithm, time - begun):
+                    found += state.seen(begun + part * (time - begun), output)
             else:
-                state.begin(time, logarithm)
+                found += state.seen(time, logarithm)
         together = np.concatenate([np.empty(0, EVENT), *found])
         return together[np.argsort(together["t"], kind="stable")]
 
@@ -140,8 +162,8 @@ def events_of(simulator: Simulator, scene: Scene, motion: Motion, duration: floa
     """Events of a camera that moves before a scene, see `EventSensor.events`.
 
     Each pixel sees the light that the simulator's camera gathers there, its own colour of a mosaic. duration, start:
-    [s]. instants: at which the scene is seen; None: a `window` of the sensor apart, or nearer where the camera moves
-    more than STEP samples between two. Raises as `Simulator.expose` does, and OutOfRange.
+    [s]. instants: at which the scene is seen; None: a `window` of the sensor apart, if it has one, or nearer where the
+    camera moves more than STEP samples between two. Raises as `Simulator.expose` does, and OutOfRange.
     """
     scene, sensor = checked_scene(scene), EventSensor() if sensor is None else sensor
     if not 0 < duration < inf:

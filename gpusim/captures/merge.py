@@ -34,6 +34,9 @@ def merge_bracket(simulator: Simulator, frames, *, full_scale: float | None = No
     with a black level stays unbiased in the dark. Where the camera replaces defective pixels, that is done in every
     frame before the merge; those known are detected instead if the map is not the simulator's, or pixels are binned.
 
+    Frames are not aligned: they have to show the same from the same place. Shaken by 5 and 7 pixels, what had 39 dB has
+    25 dB.
+
     frames: 2 to 16 of one camera and size, from digital numbers, not binned as such; order and analog gains are free.
     full_scale: the largest rate that the raw values hold [e- s-1]; by default the largest that any frame holds.
     Returns a Frame as of the longest exposure and an unlimited well: `mean` the merged electrons, float32 (rows, cols)
@@ -80,6 +83,8 @@ def merge_burst(simulator: Simulator, frames, *, reference: int = 0) -> Frame:
     Tiles of 16 x 16 periods of the mosaic are found again in every frame (`processor.align`), moved onto the reference
     and averaged, each block of a period with weights that are 0 where the difference is more than the noise explains
     (`processor.average`): what moves by itself is shown as the reference has it, without ghosts and with its noise.
+    A tile moves only if noise does not explain it: at rest the variance is 1 / n of one frame's, within 2 %, on flat
+    fields and sharp edges, for 2 to 16 frames, 20 to 2000 electrons and periods of 1 to 6 pixels.
     Defective pixels: as for `merge_bracket`.
 
     frames: two or more of one camera, size, exposure time and gain, from digital numbers, at least 16 periods of the

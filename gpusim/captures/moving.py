@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY
+from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
@@ -16,10 +16,11 @@ from gpusim.domain.motion import Motion
 from gpusim.domain.scene import checked_scene
 from gpusim.frame import Exposure
 from gpusim.kernels.sensor.shutter import shutter
+from gpusim.planner.plan import Plan
 from gpusim.planner.shutter import shutter_weights
 from gpusim.program.kept import Kept
 from gpusim.program.metering import metered
-from gpusim.program.planning import probes_for
+from gpusim.program.planning import given, probes_for
 from gpusim.program.program import exposed
 from gpusim.simulator import Simulator
 
@@ -29,12 +30,13 @@ STEP = 0.25  # [sample] between two instants, without a tolerance
 
 
 def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0, flicker: Flicker | None = None) -> Exposure:
+                  gain: float = 1.0, flicker: Flicker | None = None, plan: Plan | None = None) -> Exposure:
     """Mean electrons of a scene that moves, or of a camera that does: rows are exposed one after the other.
 
     scenes: pictures of it at the instants `times` [s], all of one size; between them the light changes linearly.
     start: when the first row opens [s]; row y opens y row_time of the sensor later. Automatic exposure meters the
     first scene in steady light; gain: as for `Simulator.expose`. flicker: of all its light, on the clock of the times.
+    plan: of all scenes, see `Simulator`.
     Raises as `Simulator.expose` does, and BadData, OutOfRange for times that do not cover the exposure.
     """
     checked_time(exposure_time)
@@ -48,10 +50,7 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
                       "one or more")
     if len({scene.shape for scene in scenes}) > 1:
         raise BadData("moving scene: the scenes differ in size")
-    first = simulator.plan(scenes[0])
-    plans = [dataclasses.replace(first, scene=scene) if first.serves(scene) and scene.content is scenes[0].content
-             else simulator.plan(scene) for scene in scenes[1:]]
-    plans.insert(0, first)
+    plans = _plans(simulator, scenes, plan, exposure_time)
     held = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)  # the pictures, and once more together
     if held > device.memory:
         raise DoesNotFit(f"a moving scene of {len(scenes)} pictures", held, device.memory, device.name)
@@ -67,27 +66,55 @@ def expose_moving(simulator: Simulator, scenes, times, exposure_time: float | No
         mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
         model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart" + (
             f", light that flickers at {flicker.frequency:g} Hz" if flicker else "")
-        plan = dataclasses.replace(plans[0], models=plans[0].models | {"sensor.shutter": model})
-        exposure = exposed(simulator, plan, device.reshape(mean, shape), exposure_time, gain, Kept())
+        told = dataclasses.replace(_worst(plans, simulator.tolerance),
+                                   models=plans[0].models | {"sensor.shutter": model})
+        exposure = exposed(simulator, told, device.reshape(mean, shape), exposure_time, gain, Kept())
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begun))
 
 
+def _plans(simulator, scenes, plan, exposure_time):
+    """A plan for every scene: of each content one, or the one that was given."""
+    def planned(scene):
+        return simulator.plan(scene) if plan is None else given(simulator, plan, scene, exposure_time)
+
+    first = planned(scenes[0])
+    return [first, *(dataclasses.replace(first, scene=scene) if first.serves(scene) and (
+        scene.content is scenes[0].content) else planned(scene) for scene in scenes[1:])]
+
+
+def _worst(plans, tolerance):
+    """The first plan with the largest error of every cause in any of the plans."""
+    bounds: dict = {}
+    for plan in plans:
+        for name, bound in plan.account.bounds.items():
+            other = bounds.get(name, bound)
+            bounds[name] = Bound(*map(max, dataclasses.astuple(bound), dataclasses.astuple(other)))
+    first = plans[0]
+    doubt = next((plan.account.doubt for plan in plans if plan.account.doubt), "")
+    account = dataclasses.replace(first.account, bounds=bounds, doubt=doubt)
+    remedy = next((plan.verdict.remedy for plan in plans if plan.verdict and plan.verdict.remedy), "")
+    left_out = list(dict.fromkeys(line for plan in plans for line in plan.left_out))
+    return dataclasses.replace(first, account=account, left_out=left_out,
+                               verdict=tolerance and account.verdict(tolerance, remedy))
+
+
 def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: float | None = None, start: float = 0.0,
-                  gain: float = 1.0, instants: int | None = None, flicker: Flicker | None = None) -> Exposure:
+                  gain: float = 1.0, instants: int | None = None, flicker: Flicker | None = None,
+                  plan: Plan | None = None) -> Exposure:
     """Mean electrons of a scene by a camera that moves while it exposes, row after row: motion blur and leaning edges.
 
     scene: a Scene, or an Animation, in which things move on the same clock.
     start: when the first row opens, on the clock of the motion [s]. Automatic exposure meters the first view.
     instants: at which the scene is seen, 2 or more; None: as many as keep what is wrong between them below ENOUGH of
     the tolerance, or, without one, that the camera moves STEP samples between two. What is wrong is told as "shutter".
-    flicker: see `expose_moving`.
+    flicker: see `expose_moving`. plan: of all views, see `Simulator`.
     Raises as `expose_moving` does, and OutOfRange for instants below 2 and a path that takes more than COUNTS has.
     """
     moving = scene if isinstance(scene, Animation) else None
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
     if exposure_time is None and sensor.exposure_time is None:
-        metered_by = simulator.expose(scene.viewed(motion.at(start)), None, gain)
+        metered_by = simulator.expose(scene.viewed(motion.at(start)), None, gain, plan)
         exposure_time, gain = metered_by.exposure_time, metered_by.gain
     seconds = float(sensor.exposure_time if exposure_time is None else exposure_time)
     whole = seconds + sensor.row_time * (scene.shape[0] - 1)
@@ -110,13 +137,13 @@ def expose_motion(simulator: Simulator, scene, motion: Motion, exposure_time: fl
     if not step:
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
-    made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker)
+    made = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
     between = next((one.view for one in scenes if not one.view.is_whole(scene.samples_per_pixel)), scenes[0].view)
     told = {"view": probes.resampled(between, scene.samples_per_pixel), "shutter": wrong}
-    plan, bounds = made.plan, made.plan.account.bounds | told
-    account = dataclasses.replace(plan.account, bounds=bounds)
-    verdict = None if tolerance is None else account.verdict(tolerance, plan.verdict.remedy if plan.verdict else "")
-    return dataclasses.replace(made, plan=dataclasses.replace(plan, account=account, verdict=verdict))
+    seen, bounds = made.plan, made.plan.account.bounds | told
+    account = dataclasses.replace(seen.account, bounds=bounds)
+    verdict = None if tolerance is None else account.verdict(tolerance, seen.verdict.remedy if seen.verdict else "")
+    return dataclasses.replace(made, plan=dataclasses.replace(seen, account=account, verdict=verdict))
 
 
 def farthest(scene, motion, times):

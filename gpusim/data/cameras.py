@@ -1,8 +1,6 @@
 """Cameras: the built-in ones, and camera files (TOML), whose keys are those of `camera_keys`."""
 
-import csv
 import dataclasses
-import io
 import os
 import re
 import tomllib
@@ -41,7 +39,7 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.io.files import named, read_text, reading
+from gpusim.io.files import named, read_cells, read_text, reading
 
 _FOLDER = Path(__file__).with_name("cameras")
 BASE = "phone"  # what an empty file is
@@ -66,6 +64,8 @@ def open_camera(name_or_path) -> Camera:
     those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
     name that is neither.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise BadData(f"camera: {type(name_or_path).__name__}, wanted a name or a file's path")
     path, table = camera_table(name_or_path)
     try:
         return camera_of(path, table)
@@ -355,11 +355,11 @@ def _curves(path, label, value):
 
 
 def _read_csv(path):
-    """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers."""
-    text = read_text(path, "a CSV table", LONGEST_TABLE)
-    with reading(path, "a CSV table"):
-        lines = [[cell.strip() for cell in line] for line in csv.reader(io.StringIO(text, newline=""))
-                 if any(map(str.strip, line))]
+    """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers.
+
+    Dividers, decimal commas and comments are those of `read_cells`.
+    """
+    lines = read_cells(path, LONGEST_TABLE)
     if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
         raise BadFile(path, "the first line must be wavelength_nm,R,G,B or the like")
     try:

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.data.lights import light_of, white_radiance
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Materials
-from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.errors import OutOfRange, UnknownName, is_known
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
@@ -30,7 +30,7 @@ def chart(name: str, *, size=(768, 512), light: str | Spectrum = "D65", luminanc
         end value.
     Raises UnknownName (chart, light, option), OutOfRange, and DoesNotFit before anything is allocated.
     """
-    if name not in CHARTS:
+    if not is_known(name, CHARTS):
         raise UnknownName("chart", name, CHARTS)
     draw = CHARTS[name]
     parameters = inspect.signature(draw).parameters

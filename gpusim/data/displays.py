@@ -9,7 +9,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.errors import BadData, UnknownName, is_known
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
@@ -20,17 +20,21 @@ def display_names() -> list[str]:
     return [*DISPLAYS, *(key.removesuffix(" spectra") for key in tables("displays") if key.endswith(" spectra"))]
 
 
-@functools.cache
 def open_display(name: str) -> Display:
     """A display by name: "srgb", "display-p3", or a measured one: "lcd-apple", "lcd-dell", "crt-dell", "oled-sony".
 
     The measured ones have the spectra of their primaries (ISETCam, see README.md in this folder); primaries, white and
     luminance follow from these, and the curve is the power law nearest to the measured one. Raises UnknownName.
     """
-    if name in DISPLAYS:
+    if is_known(name, DISPLAYS):
         return DISPLAYS[name]
-    if name not in display_names():
+    if not is_known(name, display_names()):
         raise UnknownName("display", name, display_names())
+    return _measured(name)
+
+
+@functools.cache
+def _measured(name):
     table = tables("displays")
     spectra = Spectrum(table["wavelengths"], table[f"{name} spectra"], name)
     colors = xyz(spectra)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, shown
 from gpusim.domain.noise import Noise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
@@ -20,6 +20,7 @@ _LIMITS = {  # unit, least, most; `Sensor` and `Noise` check what is theirs
     "snr_max_db": ("dB", -300, 300), "dynamic_range_db": ("dB", -300, 300), "rounding": ("", 0, 0.5),
     **{f"dsnu{part}": ("e-", 0, 1e12) for part in ("", "_row", "_column")},
     **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")}}
+LARGEST = 1e300  # of figures that `Sensor` and `Noise` check: what a float holds
 HALF_BAND = 25.0  # [nm]; the standard's light has a full width at half maximum below 50 nm
 
 
@@ -117,21 +118,28 @@ def _check_figures(figures):
         if value is None and name in _OPTIONAL:
             continue
         if not isinstance(value, Real) or isinstance(value, bool):
-            raise BadData(f"{name} = {value!r}: wanted a number")
-        unit, low, high = _LIMITS.get(name, ("", -math.inf, math.inf))
-        if not (math.isfinite(value) and low <= value <= high):
-            raise OutOfRange(name, f"{value:.6g} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}")
+            raise BadData(f"{name} = {shown(value)}: wanted a number")
+        unit, low, high = _LIMITS.get(name, ("", -LARGEST, LARGEST))
+        if not low <= value <= high:
+            raise OutOfRange(name, f"{_short(value)} {unit}".rstrip(), f"{low:.3g} <= {name} <= {high:.3g}")
+
+
+def _short(value):
+    """A number as a message shows it: whole ones may be larger than a float."""
+    return shown(value) if isinstance(value, int) else f"{float(value):.6g}"
 
 
 def _efficiency(quantum_efficiency, wavelength, response):
     """Return curves (C, L) and the efficiency at the wavelength, that of the best channel; None without wavelength."""
     if wavelength is not None and not (isinstance(wavelength, Real) and 10 + HALF_BAND < wavelength < 1e5 - HALF_BAND):
-        raise OutOfRange("wavelength", f"{wavelength} nm", f"a number, {10 + HALF_BAND:g} < wavelength < 99975")
+        raise OutOfRange("wavelength", f"{shown(wavelength)} nm", f"a number, {10 + HALF_BAND:g} < wavelength < 99975")
+    if response is not None and not isinstance(response, Spectrum):
+        raise BadData(f"response = {shown(response)}: wanted a gpusim.Spectrum")
     if not isinstance(quantum_efficiency, Spectrum):
         if not isinstance(quantum_efficiency, Real) or isinstance(quantum_efficiency, bool):
-            raise BadData(f"quantum_efficiency = {quantum_efficiency!r}: wanted a number or a Spectrum")
+            raise BadData(f"quantum_efficiency = {shown(quantum_efficiency)}: wanted a number or a Spectrum")
         if not 0 < quantum_efficiency <= 1:
-            raise OutOfRange("quantum_efficiency", f"{quantum_efficiency:.6g}",
+            raise OutOfRange("quantum_efficiency", _short(quantum_efficiency),
                              "0 < quantum_efficiency <= 1; a data sheet's 60 % are 0.6")
         if wavelength is None:
             raise BadData("quantum_efficiency is one number: wanted the wavelength it belongs to, wavelength = ... "

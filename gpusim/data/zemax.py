@@ -1,6 +1,7 @@
 """Point spreads from text listings of Zemax OpticStudio: Huygens PSF and FFT PSF."""
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -36,8 +37,8 @@ def read_zemax_psf(paths, corner: float | None = None, reference: float | None =
     as OpticStudio draws it. Energies are scaled to 1: what lies beyond the grid is lost, so let it be wide.
     Raises BadFile, naming the file, and BadData for files that do not go together.
     """
-    return spread_of([_listing(path) for path in ([paths] if isinstance(paths, str) or hasattr(paths, "__fspath__")
-                                                  else list(paths))], corner, reference)
+    several = isinstance(paths, Iterable) and not isinstance(paths, str)
+    return spread_of([_listing(path) for path in (paths if several else [paths])], corner, reference)
 
 
 def _listing(path) -> Traced:

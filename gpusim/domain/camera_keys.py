@@ -24,7 +24,10 @@ def _number(per_unit=1.0):
     def read(value):
         if type(value) not in (int, float):
             raise _Wanted("a number")
-        return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
+        try:
+            return value / per_unit  # a division, as 1.4 / 1e6 is 1.4e-6 and 1.4 * 1e-6 is not
+        except OverflowError:
+            raise _Wanted("a number below 1e308") from None
     return read
 
 

@@ -10,7 +10,7 @@ from gpusim.domain.brief import span
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.memory import Pinned
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import check_wavelengths
 
 NUMBERS, WHOLE = "fiub", "iub"  # kinds of types that samples, and numbers of materials, may have
 NEGATIVE = 0.25  # undershoot of a truncated basis that is let pass, relative to the brightest sample
@@ -181,7 +181,7 @@ class Content:
         samples = getattr(self, self.samples[-1])
         if 0 in samples.shape:
             raise BadData(f"{name}: zero-size scene {tuple(samples.shape)}")
-        Spectrum(self.wavelengths, np.zeros(len(self.wavelengths)), name)  # checks the wavelengths
+        check_wavelengths(self.wavelengths, name)
         for label, array in (("samples", samples), *(("spectra", getattr(self, key)) for key in self.shared)):
             if not is_seen(array) or array.dtype.kind == "u":
                 continue

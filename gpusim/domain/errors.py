@@ -105,9 +105,14 @@ def checked_count(key: str, value, least: int = 1, most: float = float("inf")) -
     return int(value)
 
 
+def is_known(name, known) -> bool:
+    """Whether `name` is a string among the known ones; what is no string is not."""
+    return isinstance(name, str) and name in known
+
+
 def near(name: str, known) -> str:
     """Hint at the known name nearest to `name`, or list all: "; did you mean 'x'?" or "; known: x, y"."""
-    nearest = difflib.get_close_matches(name[:LONGEST_VALUE], known, n=1)
+    nearest = difflib.get_close_matches(one_line(name)[:LONGEST_VALUE], known, n=1)
     return f"; did you mean {nearest[0]!r}?" if nearest else f"; known: {', '.join(known)}"
 
 

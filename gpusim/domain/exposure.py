@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 
-METHODS = ("full", "mean", "percentile", "centre")
+METHODS = ("highlights", "full", "percentile", "mean", "centre")
 LONGEST = 1e12  # [s]
 MOST_GAIN = 1e4  # analog gain beside the sensor's
 MIDDLE_GREY = 0.18  # reflectance of a photographer's grey card
+FILLED = 0.95  # of saturation: where a bright pixel is put by default
+HIGHLIGHTS = 0.001  # share of the pixels that may be highlights: one glint in 10,000 pixels, blurred over ten
+PLAIN = 1.5  # times the rest's brightest pixel, up to which a few pixels are a part of the picture: half a stop
+LAMPS = 100.0  # times the same, beyond which they are lamps in the dark
 CENTRE = 0.2  # standard deviation of the centre's weight over the frame's height and width
 
 
@@ -87,22 +91,26 @@ class LightStatistics:
 class AutoExposure:
     """How an exposure time and an analog gain are chosen from the light.
 
-    method: what is brought to `level` of saturation [1]: "full" the brightest pixel, so that nothing clips;
-        "percentile" the `percentile`-th of the pixels [%], so that a few lamps may clip; "mean" the average;
-        "centre" the average weighted by a Gaussian about the frame's middle.
+    method: what is brought to `level` of saturation [1]: "highlights" the brightest pixel but for a thousandth of them,
+        see `without_highlights`; "full" the brightest pixel, so that nothing clips; "percentile" the `percentile`-th of
+        the pixels [%], so that a few lamps may clip; "mean" the average; "centre" the average weighted by a Gaussian
+        about the frame's middle.
+    level: by default 0.95 for a bright pixel, and for an average 0.95 x 18 %, so that white is at 0.95.
     longest: exposure time at most [s], None: any. Where it is too short the analog gain is raised, up to most_gain [1].
     Raises BadData, OutOfRange, UnknownName.
     """
 
-    method: str = "full"
-    level: float = 0.95
+    method: str = "highlights"
+    level: float = None  # type: ignore[assignment]  # a number from the start on
     percentile: float = 99.0
     longest: float | None = None
     most_gain: float = 1.0
 
     def __post_init__(self):
-        if self.method not in METHODS:
+        if not is_known(self.method, METHODS):
             raise UnknownName("exposure method", str(self.method), METHODS)
+        if self.level is None:
+            object.__setattr__(self, "level", FILLED * MIDDLE_GREY if self.averages else FILLED)
         check_range("auto_exposure", self, "level", "0 < level <= 1", lambda value: 0 < value <= 1)
         check_range("auto_exposure", self, "percentile", "0 < percentile <= 100", lambda value: 0 < value <= 100, "%")
         check_range("auto_exposure", self, "longest", "0 < longest <= 1e12", lambda value: 0 < value <= 1e12, "s")
@@ -112,16 +120,22 @@ class AutoExposure:
                           "longest exposure time is too short; wanted both")
 
     @property
+    def averages(self) -> bool:
+        """Whether an average is brought to the level, and not a bright pixel."""
+        return self.method in ("mean", "centre")
+
+    @property
     def white(self) -> float:
         """Where this metering puts a perfect white diffuser, or the brightest surface, over saturation [1], at most 1.
 
         A camera's picture has display white there, so that what it meters looks as it should at its own exposure and
-        too dark or too bright at another. "full" and "percentile" bring a bright pixel to `level` and take it for
-        white: level. "mean" and "centre" bring an average to it and take that for MIDDLE_GREY, the mean reflectance of
-        scenes: white, of reflectance 1, is then at level / MIDDLE_GREY, or beyond saturation. An average is over all
-        colours of the mosaic, so that the strongest, whose value counts, makes grey a little brighter than that.
+        too dark or too bright at another. "highlights", "full" and "percentile" bring a bright pixel to the level and
+        take it for white: level. "mean" and "centre" bring an average to it and take that for MIDDLE_GREY, the mean
+        reflectance of scenes: white, of reflectance 1, is then at level / MIDDLE_GREY, or beyond saturation. An average
+        is over all colours of the mosaic, so that the strongest, whose value counts, makes grey a little brighter than
+        that.
         """
-        return self.level if self.method in ("full", "percentile") else min(self.level / MIDDLE_GREY, 1.0)
+        return min(self.level / MIDDLE_GREY, 1.0) if self.averages else self.level
 
     def signal(self, electron_rate) -> float:
         """What is brought to the level [e- s-1], of electrons per second and pixel, shape (..., rows, cols)."""
@@ -132,13 +146,15 @@ class AutoExposure:
             return float(rate.mean(dtype=np.float64))
         if self.method == "percentile":
             return float(np.percentile(rate, self.percentile))
+        if self.method == "highlights":
+            return without_highlights(float(np.percentile(rate, 100 * self.fractions[0])), float(rate.max()))
         down, right = self._centred(rate.shape)
         return float(np.mean(down @ rate.astype(np.float64) @ right))
 
     @property
     def fractions(self) -> tuple[float, ...]:
         """Of the pixels, from the darkest on: the quantiles that are asked of `LightStatistics`."""
-        return (self.percentile / 100,) if self.method == "percentile" else ()
+        return {"percentile": (self.percentile / 100,), "highlights": (1 - HIGHLIGHTS,)}.get(self.method, ())
 
     def weights(self, shape) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the "centre" along both axes of a frame of shape (..., rows, cols); their products add up to 1.
@@ -159,11 +175,12 @@ class AutoExposure:
         highest, mean, _, centre, missing, _, *pair = statistics.values
         if missing:
             raise BadData(f"automatic exposure: {missing:.0f} of {statistics.pixels} pixels have NaN or infinite light")
-        if self.method == "percentile":  # as numpy.percentile rounds
+        if pair:  # as numpy.percentile rounds
             place = (statistics.pixels - 1) * self.fractions[0]
             low, high = pair
             part = place - floor(place)
-            return float(low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part))
+            found = float(low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part))
+            return found if self.method == "percentile" else without_highlights(found, float(highest))
         return float({"full": highest, "mean": mean, "centre": centre}[self.method])
 
     def choose(self, electron_rate, saturation: float) -> tuple[float, float]:
@@ -187,6 +204,24 @@ class AutoExposure:
         return self.longest, min(time / self.longest, self.most_gain)
 
 
-def auto_exposure(electron_rate, saturation: float, level: float = 0.95, method: str = "full") -> float:
-    """Exposure time [s] at which the signal that `method` of `AutoExposure` names reaches `level` of saturation."""
-    return AutoExposure(method, level).choose(np.atleast_2d(electron_rate), saturation)[0]
+def without_highlights(rest: float, brightest: float) -> float:
+    """Return the light that "highlights" brings to the level, from the brightest pixel and the brightest of the rest.
+
+    rest: the quantile below which all but HIGHLIGHTS of the pixels lie. Up to PLAIN times as much, the brightest pixel
+    counts, and nothing clips. Brighter ones are glints or lamps in a picture: the rest counts, and they clip. From
+    LAMPS times on they are the picture, as stars are, and from LAMPS^2 times on the brightest counts again. The result
+    is continuous in the ratio of the two.
+    """
+    if not PLAIN * rest < brightest < LAMPS**2 * rest:
+        return brightest
+    ratio = brightest / rest
+    return rest * max(1.0, PLAIN**2 / ratio, (ratio / LAMPS) ** 2)
+
+
+def auto_exposure(electron_rate, saturation: float, level: float | None = None, method: str = "full") -> float:
+    """Exposure time [s] at which the signal that `method` of `AutoExposure` names reaches `level` of saturation.
+
+    Arguments, returns and raises as there.
+    """
+    automatic = AutoExposure(method) if level is None else AutoExposure(method, level)
+    return automatic.choose(np.atleast_2d(electron_rate), saturation)[0]

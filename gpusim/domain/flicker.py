@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, replace
 from math import inf, pi
+from numbers import Real
 
 import numpy as np
 
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import OutOfRange, shown
 
 FASTEST = 1e7  # [Hz]
 
@@ -27,7 +28,10 @@ class Flicker:
 
     def __post_init__(self):
         for name, low, high in (("frequency", 0.0, FASTEST), ("depth", 0.0, 1.0), ("phase", -inf, inf)):
-            value = float(getattr(self, name))
+            value = getattr(self, name)
+            if not isinstance(value, Real):
+                raise OutOfRange(f"flicker.{name}", shown(value), "a number")
+            value = float(value)
             if not (low <= value <= high and np.isfinite(value)) or (name == "frequency" and not value):
                 least = "above 0" if name == "frequency" else f"{low:g}"
                 raise OutOfRange(f"flicker.{name}", value, f"{least} .. {high:g}")

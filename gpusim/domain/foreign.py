@@ -35,6 +35,12 @@ def described(values, what: str):
                   "__cuda_array_interface__ or __array__")
 
 
+def is_array(values) -> bool:
+    """Whether a value is an array of NumPy or of another library."""
+    return hasattr(values, "dtype") or any(hasattr(values, name) for name in (
+        "__cuda_array_interface__", "__dlpack_device__", *NUMPYS))
+
+
 def type_of(values) -> np.dtype | None:
     """Type of an array's values; None where NumPy has none of that name."""
     kind = values.dtype

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral
 
 from gpusim.domain.brief import brief
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 
 PHOTONS = ("fast", "exact", "none")
 ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)
@@ -70,7 +70,7 @@ class Noise:
         def check(key, allowed, good, unit=""):
             check_range("noise", self, key, allowed, good, unit)
 
-        if self.photon not in PHOTONS:
+        if not is_known(self.photon, PHOTONS):
             raise UnknownName("noise.photon", str(self.photon), PHOTONS)
         for key in ("dark_current", "hot_current"):
             check(key, f"0 <= {key} <= 1e12", lambda value: 0 <= value <= MOST, "e-/s")

@@ -93,13 +93,39 @@ class Optics:
                 raise BadData(f"optics.lateral_color: wanted one function of wavelength, got {len(lateral)}")
         if not (np.abs(lateral) < 0.5).all():  # also refuses NaN
             raise OutOfRange("optics.lateral_color", self.lateral_color, "-0.5 < lateral_color < 0.5")
-        if self.model == "measured" and np.any(lateral):
-            raise BadData("optics.lateral_color: measured point spreads hold it; wanted 0")
         apart = np.asarray(self.birefringence)
         if apart.shape != (2,) or not ((apart >= 0) & (apart < 1e-3)).all():
             raise OutOfRange("optics.birefringence", self.birefringence, "two lengths, 0 <= length < 1 mm")
         if not 0 <= self.diffuser < 1e-3:
             raise OutOfRange("optics.diffuser", f"{self.diffuser:.6g} m", "0 <= diffuser < 1 mm")
+        self._check_measured()
+
+    def _check_measured(self):
+        """Refuse settings that measured point spreads hold already."""
+        if self.model != "measured":
+            return
+        given = self._blurring() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
+        for name, is_set in given.items():
+            if is_set:
+                more = ", and put the pupil's area into optics.transmission" if "pupil" in name else ""
+                raise BadData(f'{name}: with model = "measured" the point spreads hold it, and it would be ignored; '
+                              f"leave it out{more}")
+
+    def _blurring(self):
+        """Which settings, apart from the pupil, add to the blur of model "diffraction": name -> bool."""
+        def has(value):
+            return bool(np.any(value.values if isinstance(value, Spectrum) else value))
+
+        own = self.wavefront
+        return {"optics.lateral_color": has(self.lateral_color), "optics.defocus": has(self.defocus),
+                "optics.zernike": bool(np.any(own.zernike)), "optics.seidel": any(own.seidel),
+                "optics.birefringence": any(self.birefringence), "optics.diffuser": bool(self.diffuser)}
+
+    @property
+    def unused(self) -> str:
+        """Settings that model "none" leaves without effect on the blur, in words."""
+        return ", ".join(["diffraction", *(name.removeprefix("optics.").replace("lateral_color", "lateral colour")
+                                           for name, is_set in self._blurring().items() if is_set)])
 
     @property
     def magnification(self) -> float:
@@ -179,7 +205,8 @@ class Optics:
     def description(self) -> str:
         """The pupil and what is in it, in words."""
         if self.psf is not None:
-            return f"measured point spreads at {len(self.psf.wavelengths)} wavelengths"
+            near = "" if np.isinf(self.object_distance) else f" of the lens focused at {self.object_distance:.4g} m"
+            return f"measured point spreads at {len(self.psf.wavelengths)} wavelengths{near}"
         words = [f"polygon of {self.pupil.blades} blades" if self.pupil.blades else "circular pupil"]
         words += [f"{self.pupil.obscuration:g} obscured"] if self.pupil.obscuration else []
         words += ["out of focus"] if isinstance(self.defocus, Spectrum) or self.defocus else []

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.domain.brief import brief
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 from gpusim.domain.learned import FilterTable
 
 DEFECTS = ("none", "known", "detect")
@@ -63,7 +63,7 @@ class Processor:
     def __post_init__(self):
         for key, known in (("defects", DEFECTS), ("demosaic", DEMOSAICS), ("white_balance", WHITE_BALANCES),
                            ("color", COLORS), ("scaling", SCALINGS)):
-            if getattr(self, key) not in known:
+            if not is_known(getattr(self, key), known):
                 raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
         check_range("processor", self, "shading", "True or False", lambda value: isinstance(value, bool))
         check_range("processor", self, "table", "a FilterTable, see `gpusim.data.learned.read_table`",

@@ -8,8 +8,9 @@ import numpy as np
 from gpusim.domain.brief import brief, shortened
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.foreign import is_array
 from gpusim.domain.shown import Pictured
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, seen_band
 from gpusim.domain.view import View
 
 BORDERS = ("zero", "edge", "reflect", "scene")
@@ -173,10 +174,11 @@ class Scene(Pictured):
 def checked_scene(scene) -> Scene:
     """Return a scene as it is. Raises BadData for anything else."""
     if not isinstance(scene, Scene):
-        raise BadData(f"scene: {type(scene).__name__}, wanted a Scene, such as of open_scene or chart")
+        raise BadData(f"scene: {type(scene).__name__}, wanted a Scene, such as of " + (
+            "gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart"))
     return scene
 
 
 def unit_light(wavelengths) -> Spectrum:
     """Return the illuminant 1 of a scene of which only the radiance was measured, at `wavelengths` [nm]."""
-    return Spectrum(np.asarray(wavelengths)[[0, -1]], np.ones(2), "unknown light")
+    return Spectrum(np.array(seen_band(wavelengths)), np.ones(2), "unknown light")

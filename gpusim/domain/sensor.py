@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gpusim.domain.brief import brief
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, shown
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.spectrum import Spectrum
@@ -114,10 +114,14 @@ class Sensor:
     def __post_init__(self):
         for key, kind in (("qe", Spectrum), ("noise", Noise), ("auto_exposure", AutoExposure)):
             if not isinstance(getattr(self, key), kind):
-                raise BadData(f"sensor.{key} = {getattr(self, key)!r}: wanted a gpusim.{kind.__name__}")
+                raise BadData(f"sensor.{key} = {shown(getattr(self, key))}: wanted a gpusim.{kind.__name__}")
         for key in ("channels", "cfa", "binning"):
-            if isinstance(getattr(self, key), (list, tuple)):
+            if isinstance(getattr(self, key), (str, list, tuple, np.ndarray)):
                 object.__setattr__(self, key, tuple(getattr(self, key)))
+        for key, wanted in (("channels", '("R", "G", "B")'), ("cfa", '("RG", "GB")')):
+            value = getattr(self, key)
+            if not isinstance(value, tuple) or not all(isinstance(text, str) for text in value):
+                raise BadData(f"sensor.{key} = {shown(value)}: wanted a tuple of texts, such as {wanted}")
         self._check_pixel()
         self._check_numbers()
         self._check_mosaic()

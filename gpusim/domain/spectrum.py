@@ -11,6 +11,7 @@ from gpusim.domain.errors import BadData
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
 LIGHT_SPEED = 299792458.0  # [m s-1], exact
 BOLTZMANN = 1.380649e-23  # [J K-1], exact (SI 2019)
+LINE = 1.0  # [nm] width that a scene's only wavelength stands for
 SHORTEST, LONGEST = 10.0, 1e5  # [nm] what is light here: extreme ultraviolet to far infrared
 
 
@@ -31,17 +32,11 @@ class Spectrum:
         wavelengths = np.ascontiguousarray(self.wavelengths, np.float64)
         values = np.ascontiguousarray(self.values, np.float64)
         label = self.name or "spectrum"
-        if wavelengths.ndim != 1 or len(wavelengths) < 2:
-            raise BadData(f"{label}: needs at least 2 wavelengths, got shape {wavelengths.shape}")
+        check_wavelengths(wavelengths, label, 2)
         if values.ndim not in (1, 2) or values.shape[-1] != len(wavelengths):
             raise BadData(f"{label}: values of shape {values.shape} do not match {len(wavelengths)} wavelengths")
-        if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
+        if not np.isfinite(values).all():
             raise BadData(f"{label}: NaN or infinite entries")
-        if not (wavelengths[0] >= SHORTEST and wavelengths[-1] <= LONGEST):
-            raise BadData(f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
-                          f"{SHORTEST:g} .. {LONGEST:g} nm")
-        if not (np.diff(wavelengths) > 0).all():
-            raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
         object.__setattr__(self, "wavelengths", wavelengths)
         object.__setattr__(self, "values", values)
 
@@ -65,6 +60,26 @@ class Spectrum:
     def scaled(self, factor: float) -> "Spectrum":
         """The same spectrum times `factor`."""
         return Spectrum(self.wavelengths, self.values * factor, self.name)
+
+
+def check_wavelengths(wavelengths, label: str, least: int = 1):
+    """Raise BadData for wavelengths, shape (L,), that are fewer than `least`, not light, or do not increase."""
+    if wavelengths.ndim != 1 or len(wavelengths) < least:
+        raise BadData(f"{label}: needs at least {least} wavelength{'s' if least > 1 else ''}, got shape "
+                      f"{wavelengths.shape}")
+    if not np.isfinite(wavelengths).all():
+        raise BadData(f"{label}: NaN or infinite entries")
+    if not (wavelengths[0] >= SHORTEST and wavelengths[-1] <= LONGEST):
+        raise BadData(f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
+                      f"{SHORTEST:g} .. {LONGEST:g} nm")
+    if not (np.diff(wavelengths) > 0).all():
+        raise BadData(f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]")
+
+
+def seen_band(wavelengths) -> tuple[float, float]:
+    """First and last wavelength [nm] that a scene of these shows; one stands for LINE around it."""
+    first, last = float(wavelengths[0]), float(wavelengths[-1])
+    return (first, last) if first < last else (first - LINE / 2, last + LINE / 2)
 
 
 def energy_per_photon(wavelengths):

@@ -1,8 +1,9 @@
 """How much error a frame may carry."""
 
 from dataclasses import dataclass
+from numbers import Real
 
-from gpusim.domain.errors import OutOfRange, UnknownName
+from gpusim.domain.errors import OutOfRange, UnknownName, shown
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class Tolerance:
     def __post_init__(self):
         bounds = {"rms": self.rms, "p999_sigma": self.p999_sigma, "max_sigma": self.max_sigma}
         for key, value in bounds.items():
-            if value is not None and not 0 < value < float("inf"):
-                raise OutOfRange(f"tolerance.{key}", value, f"0 < {key} < inf")
+            if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
+                raise OutOfRange(f"tolerance.{key}", shown(value), f"0 < {key} < inf")
         if all(value is None for value in bounds.values()):
             raise OutOfRange("tolerance", "none", "at least one of rms, p999_sigma, max_sigma")
 

@@ -81,7 +81,8 @@ def _coloured(values, camera, weights, place, reach=60):
                   ((place[0], y, (rows - 1) / 2), (place[1], x, (cols - 1) / 2)))
         pattern = truth.in_pixels(_defocused(q, round(waves, 9), 1.5 * reach + 4), dy, dx, int(np.ceil(6 + 3 / q)))
         patch = plane[np.clip(y, 0, rows - 1)[:, None], np.clip(x, 0, cols - 1)]
-        total += weight * (pattern * patch).sum() / pattern.sum()  # flat fields stay flat
+        # a point keeps its light, and the light of a flat field lies on (1 + excess)^2 of the area
+        total += weight * (pattern * patch).sum() / (pattern.sum() * (1 + excess) ** 2)
     return total
 
 

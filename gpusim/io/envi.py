@@ -257,8 +257,8 @@ def _wavelengths(header, given, count):
         if not good.all():
             notes.append(f"bands left out that bbl calls bad: {count - good.sum()} of {count}")
     kept = np.sort(nm[good])
-    if len(kept) < 2 or not (np.diff(kept) > 0).all():
-        raise BadFile(path, f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 2 or "
+    if not len(kept) or not (np.diff(kept) > 0).all():
+        raise BadFile(path, f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 1 or "
                             "more, all different")
     if not SHORTEST <= kept[0] <= kept[-1] <= LONGEST:
         raise BadFile(path, f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm, which cannot be right; {SAY_WAVELENGTHS}")

@@ -103,6 +103,8 @@ def _indigo(path, names):
     if not edges:
         return None
     edges = _ascending(path, edges)
+    if len(edges) < 2:
+        raise BadFile(path, f"only one bucket ({edges[0][0]!r}), whose width nothing says; at least 2 are needed")
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
         raise BadFile(path, f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted edges "
@@ -127,11 +129,10 @@ def _colors(path, names, depths):
 
 def _ascending(path, channels):
     channels = sorted(channels, key=lambda channel: channel[1])
-    if len(channels) < 2:
-        raise BadFile(path, f"only one spectral channel ({channels[0][0]!r}); at least 2 are needed")
     for (one, first), (two, second) in pairwise(channels):
         if first == second:
             raise BadFile(path, f"channels {one!r} and {two!r} have the same wavelength, {first:g} nm")
-        if not 0 < first < second < np.inf:
-            raise BadFile(path, f"channels {one!r} and {two!r}: {first:g} and {second:g} nm, wanted positive ones")
+    for name, nm in channels:
+        if not 0 < nm < np.inf:
+            raise BadFile(path, f"channel {name!r}: {nm:g} nm, wanted a positive wavelength")
     return channels

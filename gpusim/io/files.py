@@ -1,12 +1,13 @@
 """The one way into a user's file: it is there, it is a file, it fits, and what a parser raises becomes a BadFile."""
 
+import csv
 import io
 import os
 import stat
 from contextlib import contextmanager
 from pathlib import Path
 
-from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError
+from gpusim.domain.errors import BadFile, DoesNotFit, GpusimError, shown
 from gpusim.domain.memory import require_memory
 
 LONGEST_TEXT = 2**20  # [byte] of what people write; TOML takes up to 3 s for as much
@@ -20,6 +21,8 @@ def open_file(path) -> io.BufferedReader:
 
     A pipe without a writer, a terminal or a socket would let a program wait without end, and devices have no end.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise BadFile(shown(path), f"{type(path).__name__}, wanted a file's path")
     path = Path(path)
     try:
         _require_regular(path, path.stat())  # before it is opened: to open a device may do something
@@ -69,6 +72,25 @@ def read_text(path, what: str, longest: int = LONGEST_TEXT, *, older: bool = Fal
             if older:
                 return data.decode("cp1252", "replace")
             raise
+
+
+def read_cells(path, longest: int) -> list[list[str]]:
+    """Read a CSV table: the cells of every line that is not empty, without blanks around them.
+
+    Cells are divided by commas, semicolons (numbers may have decimal commas then) or tabs; lines that begin with # are
+    comments. Empty columns at the end, of spreadsheets, are left out. longest: [byte]. Raises BadFile, DoesNotFit.
+    """
+    text = read_text(path, "a CSV table", longest, older=True)
+    with reading(path, "a CSV table"):
+        lines = [line for line in text.splitlines() if line.strip(" \t,;") and not line.lstrip().startswith("#")]
+        divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
+        cells = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)]
+    if divider == ";":
+        cells = [[cell.replace(",", ".") for cell in row] for row in cells]
+    width = max(map(len, cells), default=0)
+    while width and not any(row[width - 1] for row in cells if len(row) >= width):
+        width -= 1
+    return [row[:width] for row in cells]
 
 
 @contextmanager

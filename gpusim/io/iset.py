@@ -139,8 +139,8 @@ class _File:
         if value is None:
             raise BadFile(self.path, f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)")
         wavelengths = self.vector(value)
-        if len(wavelengths) < 2 or not (np.diff(wavelengths) > 0).all():
-            raise BadFile(self.path, f"{value.label}: wanted at least 2 wavelengths [nm] that increase strictly")
+        if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
+            raise BadFile(self.path, f"{value.label}: wanted wavelengths [nm] that increase strictly")
         return wavelengths
 
     def text(self, owner, key, other: str) -> str:

@@ -114,8 +114,8 @@ class _Archive:
             raise BadFile(self.path, f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}")
         key = "wave" if "wave" in self.stored and "wavelengths_nm" not in self.stored else "wavelengths_nm"
         wavelengths = self.array(key, None).astype(np.float64)
-        if len(wavelengths) < 2 or not (np.diff(wavelengths) > 0).all():
-            raise BadFile(self.path, f"{key}: needs at least 2 wavelengths that increase strictly")
+        if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
+            raise BadFile(self.path, f"{key}: needs wavelengths that increase strictly")
         content = self.content(forms[0], wavelengths)
         content, illuminant = self.lit(content, white)
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None

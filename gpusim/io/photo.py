@@ -18,6 +18,7 @@ from gpusim.io.png import CHANNELS, png, read_lines
 from gpusim.io.tiff import SUFFIXES as TIFF
 from gpusim.io.tiff import read_picture
 
+JPEG = b"\xff\xd8"  # how one begins
 ALPHA = {2, 4}  # numbers of channels of which the last is alpha
 # Of a JPEG: each block of 8 x 8 has a bit at least (its mean; ITU-T T.81, F.1.2 and G.1.2), and the samples of at least
 # one component are as many as a quarter of the pixels. libjpeg makes up what is missing.
@@ -52,6 +53,26 @@ def read_cutout(path) -> tuple[Basis, np.ndarray]:
         linear, alpha = _decoded(read_samples(path))
         covers = np.ones(linear.shape[:2]) if alpha is None else alpha
         return lift(np.moveaxis(np.broadcast_to(linear, (*linear.shape[:2], 3)), -1, 0)), covers.astype(np.float32)
+
+
+def damage(path) -> tuple[str, ...]:
+    """Notes on a JPEG in whose pixels libjpeg finds damage: it makes up what it cannot read.
+
+    Pillow does not pass on what libjpeg says; simplejpeg does, and without it there are no notes. Raises BadFile.
+    """
+    with open_file(path) as file, reading(path, "a JPEG"):
+        data = file.read() if file.peek(2)[:2] == JPEG else b""
+    if not data:
+        return ()
+    try:
+        import simplejpeg
+    except ImportError:
+        return ()
+    try:
+        simplejpeg.decode_jpeg(data, "GRAY", fastdct=True, min_factor=8)  # reads all, and computes one pixel in 64
+    except ValueError as error:
+        return (f"damaged, and read as far as libjpeg can: {error}",)
+    return ()
 
 
 def _decoded(samples):

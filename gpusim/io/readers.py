@@ -18,7 +18,7 @@ from gpusim.io.files import named
 from gpusim.io.iset import read_iset
 from gpusim.io.npy import read_npy
 from gpusim.io.npz import read_npz
-from gpusim.io.photo import lift, read_photo
+from gpusim.io.photo import damage, lift, read_photo
 from gpusim.io.scene_exr import scene_parts
 from gpusim.io.spectra import patches, read_spectra
 from gpusim.io.stacks import check_reflectances, checked_scale, cut_noise
@@ -95,7 +95,7 @@ def _iset(path, white, **options):
 def _photo(path, white):
     content = read_photo(path)
     with named(path):
-        return Scene(content, white, name=path.stem)
+        return Scene(content, white, name=path.stem, notes=damage(path))
 
 
 def _tiff(path, white, wavelengths=None, kind=None, scale=None):
@@ -145,9 +145,9 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
         wavelengths = np.asarray(wavelengths, np.float64)
     except (TypeError, ValueError):
         wavelengths = np.empty((0, 0))
-    if wavelengths.ndim != 1 or len(wavelengths) < 2 or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
+    if wavelengths.ndim != 1 or not len(wavelengths) or not (np.diff(wavelengths, prepend=0) > 0).all() or not (
             wavelengths[-1] < np.inf):
-        raise OutOfRange("wavelengths", wavelengths.tolist(), "2 or more [nm], positive and strictly ascending")
+        raise OutOfRange("wavelengths", wavelengths.tolist(), "1 or more [nm], positive and strictly ascending")
     return wavelengths
 
 

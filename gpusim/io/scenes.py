@@ -13,7 +13,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
-from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.foreign import described, type_of
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import Scene, checked_scene
@@ -50,8 +50,11 @@ def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=Non
     depth: how to take distances [m], a channel of an .exr (Z, Depth.Z, depth.T ...) or a .mat's depthMap: along the
         optical "axis", as Blender writes them; along each pixel's "ray", as Mitsuba does (from its near_clip on), for
         which `fov` is needed; "none": leave a file's depth.
-    Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
+    Raises BadData, BadFile, UnknownName, OutOfRange, DoesNotFit.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise BadData(f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; gpusim.scene_from "
+                      "makes a scene of an array")
     path = Path(name_or_path)
     check_depth(depth, fov)
     given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind, "scale": scale,

@@ -1,7 +1,5 @@
 """Tables of spectra, .csv, and scenes of patches that show them."""
 
-import csv
-import io
 import math
 import re
 
@@ -12,7 +10,7 @@ from gpusim.domain.content import Materials
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
-from gpusim.io.files import named, read_text, reading
+from gpusim.io.files import named, read_cells
 
 LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
 MOST = 2**16 - 1  # spectra, and a dark one
@@ -32,22 +30,14 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     Wavelengths are in nm, or in um where their heading says so. Cells are divided by commas, semicolons (numbers may
     have decimal commas then) or tabs; lines that begin with # are comments. Raises BadFile, DoesNotFit.
     """
-    text = read_text(path, "a CSV table", LONGEST_TABLE, older=True)
-    with reading(path, "a CSV table"):
-        lines = [line for line in text.splitlines() if line.strip(" \t,;") and not line.lstrip().startswith("#")]
-        divider = next((one for one in ";\t" if one in "".join(lines[:1])), ",")
-        cells = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=divider)]
-    if divider == ";":
-        cells = [[cell.replace(",", ".") for cell in row] for row in cells]
+    cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
-    while width and not any(row[width - 1] for row in cells if len(row) >= width):
-        width -= 1  # empty columns at the end, of spreadsheets
     if len(cells) < 2 or width < 2:
         raise BadFile(path, f"{len(cells)} lines of {width} cells; {WANTED}")
     if any(len(row) < width for row in cells):
         raise BadFile(path, f"lines of {min(map(len, cells))} to {width} cells; {WANTED}")
-    numbers = np.array([[_number(cell) for cell in row[:width]] for row in cells])
-    tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0][:width], numbers.T))
+    numbers = np.array([[_number(cell) for cell in row] for row in cells])
+    tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
     found = [table for table in tables if table]
     if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
         raise BadFile(path, ("both the first column and the first line could be wavelengths; " if found else "")

@@ -36,6 +36,10 @@ def scielab(picture, reference, samples_per_degree: float, *, difference: str = 
     picture, reference, white: see `ciede2000`; two dimensions. samples_per_degree: pixels to a degree of visual angle,
     see `samples_per_degree`. difference: "cielab" (1976, as published) or "ciede2000". Raises BadData, OutOfRange,
     UnknownName.
+    The filters are exact Gaussians. The authors' program samples them at the pixels, which blurs less where they are
+    as narrow as a pixel: at 20 samples per degree the mean difference here is 5, 10 and 18 % lower than with kernels
+    sampled so (the phone's frames of dead leaves, ColorChecker and frequency sweep, against the scene); at 30 to 40
+    samples per degree 0 to 4 %. Means at different densities, or of that program, are no scale for each other.
     Source: Zhang & Wandell 1997, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5(1).
     """
     if difference not in DIFFERENCES:

@@ -27,8 +27,11 @@ class SnrCurve:
     """What a sensor's noise leaves of even light, C channels at N exposures.
 
     exposure: of the sensor's surface [lx s], rising, shape (N,). electrons: mean, of the light alone [e-], shape
-    (C, N). snr: electrons over the standard deviation of a raw value around them [dB], shape (C, N); NaN where the
-    pixel saturates. saturation: exposure at which each channel does [lx s], shape (C,).
+    (C, N), at most what the pixel holds. snr: electrons over the standard deviation of a raw value around them [dB],
+    shape (C, N); -inf for a channel that sees nothing. saturation: exposure at which each channel saturates [lx s],
+    shape (C,), inf for such a channel. Above it electrons and snr stay what they are there, the channel's SNR_max of
+    EMVA 1288, whose curves end there as ISETCam's do: a pixel that is full has seen no more light, and the noise that
+    clipping cuts off does not make its value a better one.
     """
 
     exposure: np.ndarray
@@ -39,7 +42,7 @@ class SnrCurve:
 
 def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float = 0.0,
               temporal: bool = False) -> SnrCurve:
-    """Signal to noise ratio that is expected of each channel against the exposure, up to saturation.
+    """Signal to noise ratio that is expected of each channel against the exposure, up to saturation of the last.
 
     light: name of an illuminant, or its relative power in energy units. seconds: in which the dark current is
     collected [s]. temporal: without the fixed patterns (PRNU, DSNU), as of the difference of two frames.
@@ -61,14 +64,14 @@ def snr_curve(sensor: Sensor, light: str | Spectrum = "D65", *, seconds: float =
         saturation = room / per_exposure
     most = saturation[np.isfinite(saturation)].max()
     exposure = np.union1d(np.geomspace(most * 10**-DECADES, most, POINTS), saturation[np.isfinite(saturation)])
-    electrons = np.outer(per_exposure, exposure)
+    electrons = np.minimum(np.outer(per_exposure, exposure), room)
     noise = RawNoise.of(sensor)
     variance = noise.variance(electrons + dark, temporal=temporal)
     if not temporal:
         variance = variance + (noise.response + noise.line_response) * electrons**2
-    with np.errstate(divide="ignore"):
-        found = 20 * np.log10(electrons) - 10 * np.log10(variance)
-    return SnrCurve(exposure, electrons, np.where(exposure <= saturation[:, None], found, np.nan), saturation)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(electrons > 0, 20 * np.log10(electrons) - 10 * np.log10(variance), -np.inf)
+    return SnrCurve(exposure, electrons, found, saturation)
 
 
 def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:

@@ -16,6 +16,7 @@ from gpusim.optics.psf import psf_tables
 # Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
 QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
 SAMPLES_PER_CYCLE = 6  # of the pupil's phase, at the edge of the kernel
+CELLS = 128  # along the pupil, for mean slopes of the wavefront
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
@@ -54,6 +55,21 @@ class PupilLens:
                 spectrum = scipy.ndimage.fourier_gaussian(np.fft.fft2(kernel), optics.diffuser / self.pitch)
                 kernel[:] = np.fft.ifft2(spectrum).real
         return out
+
+    def centroids(self, wavelengths, place) -> np.ndarray:
+        """Middle of all light of a point, from its place, (L, 2) (rows, cols) [pixel]: that of the rays.
+
+        Kernels that end have less of it: light far from a point moves, too. A ray meets the image at -2 q grad W.
+        """
+        optics, (y, x) = self.optics, place
+        wavelengths = np.asarray(wavelengths, np.float64)
+        q = wavelengths * 1e-9 * optics.working_f_number / self.pitch
+        waves = optics.waves(wavelengths, float(np.hypot(y, x)), float(np.arctan2(y, x)))
+        means = _mean_powers(optics.pupil, waves.shape[1])
+        slopes = [[np.vdot(slope, means[: slope.shape[0], : slope.shape[1]]) for slope in (
+            np.polynomial.polynomial.polyder(wave, axis=axis) for axis in (1, 0))] for wave in waves]
+        colour = optics.lateral_color_at(wavelengths) * self.corner
+        return -2 * q[:, None] * np.array(slopes) + colour[:, None] * np.array([y, x]) - np.array(self.displacement)
 
     def _kernel(self, q, wave, size, shift):
         points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
@@ -195,6 +211,14 @@ def _steepest(wave):
     slopes = [np.abs(np.polynomial.polynomial.polygrid2d(u, u, np.polynomial.polynomial.polyder(wave, axis=axis)))
               for axis in (0, 1)]
     return float(np.hypot(*slopes)[u[:, None] ** 2 + u**2 <= 1].max())
+
+
+@lru_cache(maxsize=32)
+def _mean_powers(pupil, count):
+    """Means of x^i y^j over the open pupil, shape (count, count)."""
+    u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
+    powers, open_ = u ** np.arange(count)[:, None], _coverage(pupil, CELLS)  # [y, x]
+    return powers @ open_.T @ powers.T / open_.sum()
 
 
 @lru_cache(maxsize=32)

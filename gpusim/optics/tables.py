@@ -68,6 +68,11 @@ def airy(q, aperture, rows, cols):
     return tables
 
 
+def exact_otf(outline, waves):
+    """Return the transfer function of a pupil with one wavefront (1, n, n), of (sx, sy) within the cut-off."""
+    return (_spline_radial if symmetric(outline, waves) else _spline_polar)(outline, waves)
+
+
 def pupil(outline, waves, q, aperture, rows, cols, spots=(0.0, 0.0), diffuser=0.0, displacement=(0.0, 0.0)):
     """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)

@@ -1,11 +1,14 @@
 """`gpusim pairs`: noisy and clean frames of photographs, in shards for training."""
 
 import argparse
+import json
 import time
+from collections import Counter
 from pathlib import Path
 
+from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, OutOfRange
-from gpusim.options import add_asked, operated, scene_of, whole
+from gpusim.options import add_asked, describe_verdicts, operated, scene_of, whole
 from gpusim.pairs.variety import Variety
 from gpusim.video.segments import Shard, segments_of
 
@@ -48,10 +51,11 @@ def pairs(arguments) -> int:
     from gpusim.backends.probe import made_by
     from gpusim.data.cameras import open_camera
     from gpusim.data.lights import illuminant
+    from gpusim.domain.digest import digest
     from gpusim.pairs.pairs import Pairs, gain_of
     from gpusim.pairs.shards import write_shard
     from gpusim.simulator import Simulator
-    from gpusim.video.manifest import digest, file_digest, kept
+    from gpusim.video.manifest import file_digest, kept
 
     varied = dict(arguments.vary.ranges)
     for name, option in (("exposure", arguments.exposure), ("iso", arguments.iso), ("light", arguments.light),
@@ -90,21 +94,25 @@ def pairs(arguments) -> int:
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))
+    states: Counter[str] = Counter()
     with kept(folder / "pairs.json", told, "the tar files beside it", lambda: not any(folder.glob("*.tar"))), tqdm(
             total=count, unit="pair", disable=None) as bar:
         for shard in missing:
-            write_shard(names[shard.start], _counted(made.made(shard), bar))
+            write_shard(names[shard.start], _counted(made.made(shard), bar, states))
     seconds = time.perf_counter() - begun
     if count:
-        print(f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s")
+        print(f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s{describe_verdicts(states)}")
     if len(missing) < len(own):
         print(f"{len(own) - len(missing)} tar files were there already")
-    return 0
+    return STATUS[worst_state(states)]
 
 
-def _counted(samples, bar):
-    for sample in samples:
-        yield sample
+def _counted(samples, bar, states):
+    """The samples; the states of their verdicts are counted in `states`."""
+    for key, parts in samples:
+        yield key, parts
+        if verdict := json.loads(parts["json"]).get("verdict"):
+            states[verdict["state"]] += 1
         bar.update()
 
 

@@ -12,6 +12,7 @@ from gpusim.domain.scene import Scene
 from gpusim.io.images import png_bytes
 from gpusim.pairs.shards import npy
 from gpusim.pairs.variety import Variety
+from gpusim.planner.plan import Plan
 from gpusim.planner.speed import gain_for_speed
 from gpusim.simulator import Simulator
 from gpusim.video.pipeline import ahead
@@ -23,13 +24,15 @@ class Pairs:
     """Pairs of photographs before a camera, `each` of every photograph.
 
     opened: the scene of a path and of what was drawn for it ("light", "luminance"). Each pair is made of its own
-    photograph, numbers and noise alone: which others are made by the same run does not matter.
+    photograph, numbers and noise alone: which others are made by the same run does not matter. plan: of all pairs, see
+    `Simulator`; without it each has its own, whose name is told.
     """
 
     def __init__(self, simulator: Simulator, photographs: list[Path], opened: Callable[[Path, dict], Scene],
-                 variety: Variety, each: int = 1, seed: int = 0, pictures: bool = False):
+                 variety: Variety, each: int = 1, seed: int = 0, pictures: bool = False,
+                 plan: Plan | None = None):
         self._simulator, self._photographs, self._opened = simulator, photographs, opened
-        self._variety, self._each, self._seed, self._pictures = variety, each, seed, pictures
+        self._variety, self._each, self._seed, self._pictures, self._plan = variety, each, seed, pictures, plan
 
     def __len__(self):
         return self._each * len(self._photographs)
@@ -58,7 +61,7 @@ class Pairs:
     def _pair(self, number, scene, values):
         simulator = self._simulator
         gain = gain_of(simulator.camera, values.get("iso"))
-        program = simulator.program(scene, values.get("exposure"), gain)
+        program = simulator.program(scene, values.get("exposure"), gain, plan=self._plan)
         exposure, account = program.exposure, program.account
         raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, frame=number)))
         sensor = exposure.camera.sensor
@@ -71,9 +74,9 @@ class Pairs:
                 "gain": exposure.gain, "black_level": float(sensor.dark_level),
                 "white_level": float(sensor.white_level), "gain_dn_per_e": float(sensor.gain_dn_per_electron),
                 "read_noise_e": float(sensor.read_sigma), "cfa": list(sensor.cfa),
-                "predicted_rms": account.total.rms}
+                "plan": exposure.plan.name, "predicted_rms": account.total.rms}
         if simulator.tolerance is not None:
-            told["tolerance_met"] = account.verdict(simulator.tolerance).met
+            told["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return pair | {"told": told}
 
 

@@ -3,9 +3,7 @@
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
-from gpusim.planner.border import seen_light
-from gpusim.planner.models import spectral
-from gpusim.planner.models.highlights import Picture
+from gpusim.planner.models import highlights, spectral
 from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan
 from gpusim.planner.question import Question
@@ -19,11 +17,9 @@ def probed(plan: Plan, question: Question, seconds: float | None) -> Account:
     those of the plan's own scene. plan: one with a watch.
     """
     assert plan.watch is not None
-    brightness = question.facts.brightness(question.light)
-    level, highest = seen_light(brightness, question.deviation, question.scene.margin)
-    picture = Picture(brightness, level, highest, None)
+    picture = highlights.whole(question)
     operation = picture.operation(question, None) if seconds is None else Operation(
-        seconds, level, float(question.sensor.read_sigma**2))
+        seconds, picture.level, float(question.sensor.read_sigma**2))
     probes = spectral.probes_of(question, picture, operation)
     if plan.transfers is None:
         bound = probes.unblurred

@@ -13,7 +13,7 @@ light is smooth, so a coarse grid is enough for it. Straight blades throw theirs
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import prod, sqrt
+from math import ceil, prod, sqrt
 from typing import Any
 
 import numpy as np
@@ -114,8 +114,17 @@ def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
     level, highest = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size), inside.max(initial=0)
     if highest <= SPIKY * level or not deviation:
         return float(level), float(highest)
-    blurred = scipy.ndimage.gaussian_filter(inside, deviation)
+    blurred = _shown(inside, deviation)
     return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
+
+
+def _shown(image, deviation):
+    """The image blurred by a Gaussian and integrated over pixels: a point gives no pixel more than a lens does."""
+    edges = np.arange(ceil(4 * deviation) + 1) + 0.5
+    inside = scipy.special.erf(edges / (sqrt(2) * deviation))
+    half = np.diff(inside) / 2
+    weights = np.concatenate([half[::-1], inside[:1], half]) / inside[-1]
+    return scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(image, weights, 0), weights, 1)
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
@@ -161,6 +170,11 @@ class Outside:
     around: int = 0
     rays: tuple[float, ...] = ()
     straight: float = 0.0
+
+    @cached_property
+    def is_spiky(self) -> bool:
+        """Whether few points are far brighter than the frame."""
+        return bool(self.image.max(initial=0) > SPIKY * self.level)
 
     def error(self, period, reach: float) -> tuple[float, float, float]:
         """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.

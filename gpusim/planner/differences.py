@@ -11,7 +11,10 @@ SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 
 
 class Differences:
-    """Kernels of planes less those on the axis, as planner/field.py calls a lens; sums are the same at all places.
+    """Kernels of planes less those on the axis, as planner/field.py calls a lens; they sum to 0 at all places.
+
+    So a point's energy is the same all over the field, and a flat field is the sum of its points: brighter where a lens
+    moves them together.
 
     What a lens spreads farthest, the diffraction at its pupil's edge, is nearly the same all over the field: the
     differences end where the kernels go on, and a convolution of the whole frame with the kernels on the axis gives
@@ -19,17 +22,15 @@ class Differences:
 
     lens: see `open_lens`. wavelengths, mix: weight of each wavelength [nm] in each plane, shape (planes, L).
     shape: (rows, cols) of the planes. corner: distance of the frame's corner from the middle [pixel]. error: relative
-    RMS of a natural image that the end of the kernels may cost. Raises OutOfRange where no size of SIZES is enough.
+    RMS of a natural image that the end of the kernels may cost. axis: where the optical axis meets the planes, from
+    their middle, (rows, cols) [pixel]. Raises OutOfRange where no size of SIZES is enough.
     """
 
-    def __init__(self, lens, wavelengths, mix, shape, corner, error):
+    def __init__(self, lens, wavelengths, mix, shape, corner, error, axis=(0.0, 0.0)):
         self.lens, self.shape, self.corner = lens, shape, corner
+        self.middle = (np.array(shape) - 1) / 2 + axis
         self.nodes, between = wavelength_nodes(wavelengths)
         self.mix = mix @ between
-        gains = np.ones(len(self.nodes))
-        if isinstance(lens, PupilLens):
-            gains = (1 + lens.optics.lateral_color_at(self.nodes)) ** 2
-        self.more = self.mix * (gains - 1)
         self.mirrored = isinstance(lens, PupilLens) and lens.optics.has_mirror and not any(lens.displacement)
         self.size = self._enough(error)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
@@ -37,9 +38,8 @@ class Differences:
 
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
-        middle = (np.array(self.shape) - 1) / 2
         kernels = np.empty((len(places), len(self.mix), self.size, self.size))
-        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - middle) / self.corner, strict=True):
+        for kernel, (y, x) in zip(kernels, (np.asarray(places, np.float64) - self.middle) / self.corner, strict=True):
             if self.mirrored:  # the other quadrants are mirror images
                 kernel[:] = self._at(abs(y), abs(x))[:, :: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
             else:
@@ -50,19 +50,27 @@ class Differences:
         key = round(y, 9), round(x, 9)
         if key not in self._known:
             kernels = self.lens.kernels(self.nodes, (y, x), self.size)
-            whole = kernels / kernels.sum(axis=(1, 2), keepdims=True)
-            self._known[key] = (np.tensordot(self.mix, _even(kernels - self._axis), 1)
-                                + np.tensordot(self.more, whole, 1))
+            self._known[key] = np.tensordot(self.mix, self._whole(_even(kernels - self._axis), (y, x)), 1)
         return self._known[key]
+
+    def _whole(self, differences, place):
+        """Differences whose first moments are those of all the light: what moves beyond them is added as a slope."""
+        if not isinstance(self.lens, PupilLens):
+            return differences  # given spreads end within the kernels
+        wanted = self.lens.centroids(self.nodes, place) - self.lens.centroids(self.nodes, (0.0, 0.0))
+        at = np.arange(self.size) - self.size // 2
+        left = wanted - np.stack([differences.sum(axis=2) @ at, differences.sum(axis=1) @ at], axis=1)
+        y, x = left.T[..., None, None] / (self.size * (at @ at))
+        return differences + y * at[:, None] + x * at
 
     def _enough(self, error):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
-        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner
+        corner = farthest_corner(self.shape, self.middle) / self.corner
+        shift = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max() * self.corner * np.hypot(*corner)
         if shift > WIDEST_SHIFT:
             raise OutOfRange("optics.lateral_color", f"{shift:.3g} pixels at the frame's corner",
                              f"up to {WIDEST_SHIFT} pixels; or a coarser pixel")
-        corner = (np.array(self.shape) - 1) / 2 / self.corner
         middle = [self.nodes[len(self.nodes) // 2]]
         whole, axis = (self.lens.kernels(middle, place, max(SIZES[-1], least)) for place in (corner, (0.0, 0.0)))
         for size in SIZES:
@@ -74,6 +82,12 @@ class Differences:
                     return size
         raise OutOfRange("field variation", f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
                          "narrower ones; or a coarser pixel")
+
+
+def farthest_corner(shape, axis) -> np.ndarray:
+    """The corner of a frame of `shape` that lies farthest from `axis`, (row, column) [pixel], seen from there."""
+    last = np.array(shape) - 1.0
+    return np.where(axis <= last / 2, last - axis, -axis)
 
 
 def _even(differences):

@@ -5,12 +5,16 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+import scipy
 
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.planner.depth import flattened
 from gpusim.planner.fusion import Spectra, row_pairs
 from gpusim.planner.sampling import Moments, moments
+
+MUCH = 16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
+MOST_BRIGHT = 32  # such pairs
 
 
 class Samples(Protocol):
@@ -81,16 +85,26 @@ class Facts:
         return cls(*flattened(scene))
 
     @cached_property
+    def _chosen(self):
+        """Upper rows of the pairs, int (n,), and their weights, 1 in the mean."""
+        first = row_pairs(*self.content.shape)
+        if self._brightness is None:
+            return first, np.ones(len(first))
+        return with_bright_rows(first, self._brightness[1])
+
+    @cached_property
     def pairs(self) -> Content:
-        """Evenly spaced pairs of neighbouring rows, one above the other, in host memory."""
-        rows, cols = self.content.shape
-        first = row_pairs(rows, cols)
-        return self.samples.rows(np.stack([first, np.minimum(first + 1, rows - 1)], axis=1).ravel())
+        """Pairs of neighbouring rows, one above the other, in host memory.
+
+        Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
+        """
+        first = self._chosen[0]
+        return self.samples.rows(np.stack([first, np.minimum(first + 1, self.content.shape[0] - 1)], axis=1).ravel())
 
     @cached_property
     def spectra(self) -> Spectra:
         """Second moments of the spectra and of their differences between neighbours."""
-        return Spectra.of_pairs(self.pairs)
+        return Spectra.of_pairs(self.pairs, self._chosen[1])
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), not to be written to."""
@@ -109,4 +123,28 @@ class Facts:
 
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
-        return moments(self.pairs, self.channels(weights))
+        return moments(self.pairs, self.channels(weights), self._chosen[1])
+
+
+def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
+    """Upper rows of pairs with those added that hold much of the light, and weights of all, 1 in the mean.
+
+    first: evenly spaced upper rows, int (n,). brightness: (rows, cols). A star in the dark lies between the even rows,
+    or counts for several of them. A pair that holds much stands for itself, the others for the rest.
+    """
+    rows = len(brightness)
+    even = np.ones(len(first))
+    if len(first) >= rows - 1:
+        return first, even
+    # BLAS scales, so that no square overflows
+    lengths = np.array([scipy.linalg.norm(row, check_finite=False) for row in brightness])
+    squares = (lengths / max(lengths.max(), 1e-300)) ** 2
+    light = squares[:-1] + squares[1:]
+    bright = np.argsort(light, kind="stable")[::-1][:MOST_BRIGHT]
+    bright = bright[light[bright] > MUCH * light.mean()]
+    if not len(bright):
+        return first, even
+    others = np.setdiff1d(first, bright)
+    chosen = np.union1d(first, bright)
+    weight = np.where(np.isin(chosen, bright), 1.0, (rows - 1 - len(bright)) / max(len(others), 1))
+    return chosen, weight * (len(chosen) / weight.sum())

@@ -40,7 +40,7 @@ class FieldBlur:
     (kernels, planes, m, m). index: kernel of each tile's terms, shape (tiles, terms). edges: the tiles' boundaries
     along rows and columns [source pixel]. error: relative RMS of a natural image, root mean square and largest over
     the probed places. convolutions: how many kernels a pixel's light goes through. cost: arithmetic of the transforms
-    per plane and frame [flop].
+    per plane and frame [flop]. flat: relative RMS error of flat fields, see `FlatField`.
     """
 
     method: str
@@ -51,6 +51,7 @@ class FieldBlur:
     error: tuple[float, float]
     convolutions: int
     cost: float
+    flat: float = 0.0
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -73,31 +74,39 @@ class FieldBlur:
     def report(self) -> str:
         """One line of what a user should know."""
         return (f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
-                f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place")
+                f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
+                "in flat fields")
 
 
-def choose(lens: Lens, shape, tolerance: float) -> FieldBlur:
-    """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does."""
+def choose(lens: Lens, shape, tolerance: float, flat: "FlatField | None" = None) -> FieldBlur:
+    """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does.
+
+    flat: what flat fields look like, and how wrong that may be; None: that does not count.
+    """
     probes = _probes(shape)
     truth = _kernels(lens, probes)
-    candidates = [eigen_kernels(lens, shape, tolerance=tolerance, truth=(probes, truth))]
+
+    def missed(blur):
+        return max(blur.error[0] / tolerance, blur.flat / flat.tolerance if flat else 0.0)
+
+    candidates = [eigen_kernels(lens, shape, tolerance=tolerance, truth=(probes, truth), flat=flat)]
     for grid in GRIDS:
         if min(np.array(shape) - grid) < 0:
             break
-        blur = overlap_add(lens, shape, grid, truth=(probes, truth))
+        blur = overlap_add(lens, shape, grid, truth=(probes, truth), flat=flat)
         candidates.append(blur)
         # finer grids cost more: enough, or already dearer than what is good enough
-        if blur.error[0] <= tolerance or (candidates[0].error[0] <= tolerance and blur.cost > candidates[0].cost):
+        if missed(blur) <= 1 or (missed(candidates[0]) <= 1 and blur.cost > candidates[0].cost):
             break
-    good = [blur for blur in candidates if blur.error[0] <= tolerance]
-    return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=lambda blur: blur.error[0])
+    good = [blur for blur in candidates if missed(blur) <= 1]
+    return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=missed)
 
 
-def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None) -> FieldBlur:
+def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None, flat=None) -> FieldBlur:
     """Kernels on a grid of places, mixed for each source pixel by weights that sum to one.
 
     shape: (rows, cols) of the frame. grid: kernels along the rows and columns, corner to corner, each >= 2. truth:
-    (places, kernels) to take the error from. window: how kernels are interpolated between the grid's places,
+    (places, kernels) to take the error from. flat: see `choose`. window: how kernels go between the grid's places,
       "bilinear"   4 terms, the cheapest at 1e-3; but where a kernel's centre of gravity moves with the field, its speed
                    jumps from cell to cell, and a flat field has steps there: second differences of 2e-4 for a mild lens
                    on 13 x 9 kernels at 1080p, 8e-4 for a strong one on 33 x 19;
@@ -132,8 +141,11 @@ def overlap_add(lens: Lens, shape, grid, window="quadratic", truth=None) -> Fiel
     (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
+    wrong = 0.0
+    if flat:
+        wrong = flat.error(kernels, _window_maps(*(one.dense(at) for one, at in zip(axes, flat.axes, strict=True))))
     return FieldBlur("overlap-add", partial(_window_maps, along_y, along_x), kernels, index, edges,
-                     image_error(mixed, wanted), terms, _cost(edges, reach, terms))
+                     image_error(mixed, wanted), terms, _cost(edges, reach, terms), wrong)
 
 
 def _window_maps(along_y, along_x):
@@ -178,18 +190,23 @@ class _Window:
         basis = scipy.interpolate.BSpline.design_matrix(inside.astype(np.float64), self._padded, self.degree).toarray()
         return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
 
+    def dense(self, pixels):
+        """Weights of all kernels at each pixel, shape (pixels, count)."""
+        cell, weights = self.at(pixels)
+        out = np.zeros((len(pixels), len(self.nodes)))
+        np.put_along_axis(out, cell[:, None] + np.arange(weights.shape[1]), weights, axis=1)
+        return out
 
-def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None) -> FieldBlur:
+
+def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None) -> FieldBlur:
     """The mean kernel and the principal differences from it, as a natural scene weighs them.
 
     terms: convolutions in all; by default as few as keep `tolerance`, at most MOST_TERMS. samples: places along rows
     and columns whose kernels are analysed. The mean takes part with coefficient one and the others sum to zero, so that
-    flat fields are exact at any number of terms. One set of coefficients serves all planes.
+    no light is lost at any number of terms. One set of coefficients serves all planes. flat: see `choose`.
     Source: Lauer, Proc. SPIE 4847 (2002); the weight makes the truncation error that of an image, not of a kernel.
     """
-    nodes = [np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
-             for size, count in zip(shape, samples, strict=True)]
-    places = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    nodes, places = _sampled(shape, samples)
     kernels = _kernels(lens, places)
     mean = kernels.mean(axis=0)
     differences = kernels - mean
@@ -205,12 +222,23 @@ def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES
     def error(count):
         return image_error(mean + np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1]), wanted)
 
+    between = _between(nodes, vectors, *flat.axes) if flat else None
+
+    def flat_error(count):
+        if flat is None:
+            return 0.0
+        return flat.error(np.concatenate([mean[None], basis[: count - 1]]),
+                          np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]]))
+
+    def is_enough(count):
+        return error(count)[0] <= tolerance and (flat is None or flat_error(count) <= flat.tolerance)
+
     most = vectors.shape[1] + 1
     if terms is None:
         low, high = 1, most  # the error falls with the number of terms
         while low < high:
             middle = (low + high) // 2
-            low, high = (low, middle) if error(middle)[0] <= tolerance else (middle + 1, high)
+            low, high = (low, middle) if is_enough(middle) else (middle + 1, high)
         terms = low
     terms = min(terms, most)
 
@@ -218,7 +246,52 @@ def eigen_kernels(lens: Lens, shape, terms=None, tolerance=1e-3, samples=SAMPLES
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
     return FieldBlur("eigen-kernels", maps, np.concatenate([mean[None], basis[: terms - 1]]),
-                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms))
+                     np.arange(terms)[None], edges, error(terms), terms, _cost(edges, reach, terms), flat_error(terms))
+
+
+def _sampled(shape, samples=SAMPLES):
+    """Places along rows and columns whose kernels are analysed, and all of them, (n, 2)."""
+    nodes = [np.linspace(0, size - 1, min(count, size, max(size // SPACING, 5)))
+             for size, count in zip(shape, samples, strict=True)]
+    return nodes, np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+class FlatField:
+    """What a lens makes of flat fields: the sum of its points, brighter where it moves them together.
+
+    Kernels K(d; s) that sum to the same everywhere give a flat field of 1 the light sum_s K(x - s; s): their sum less
+    the divergence of their first moments, plus half of the second derivatives of their second moments. What a model
+    errs there is that of the moments that it misses.
+
+    lens, shape: see `choose`. levels: strength of each plane [1], of which `error` is relative to 1. tolerance: of it.
+    """
+
+    def __init__(self, lens: Lens, shape, levels, tolerance: float):
+        nodes, places = _sampled(shape)
+        self.levels, self.tolerance = np.asarray(levels, np.float64), tolerance
+        self.axes = [np.linspace(0, size - 1, min(4 * len(at), size)) for size, at in zip(shape, nodes, strict=True)]
+        moments = _moments(_kernels(lens, places))
+        self.moments = _between(nodes, moments.reshape(len(places), -1), *self.axes).reshape(
+            *moments.shape[1:], *map(len, self.axes))
+
+    def error(self, kernels, coefficients) -> float:
+        """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
+        moments = _moments(kernels)
+        wrong = np.tensordot(moments, coefficients, (0, 0)) - self.moments  # (planes, 5, rows, cols)
+        if min(wrong.shape[2:]) < 3:
+            return 0.0
+        down, across = (lambda values, axis=axis: np.gradient(values, self.axes[axis], axis=axis + 1)
+                        for axis in (0, 1))
+        y, x, yy, xx, yx = wrong.swapaxes(0, 1)
+        flat = down(down(yy)) / 2 + across(across(xx)) / 2 + down(across(yx)) - down(y) - across(x)
+        return float(np.sqrt(self.levels**2 @ np.square(flat).mean(axis=(1, 2))))
+
+
+def _moments(kernels):
+    """First and second moments (y, x, y y, x x, y x) of kernels (n, planes, m, m) [pixel], shape (n, planes, 5)."""
+    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2.0
+    weights = np.stack(np.broadcast_arrays(at[:, None], at, at[:, None] ** 2, at**2, at[:, None] * at))
+    return np.tensordot(kernels, weights, ((2, 3), (1, 2)))
 
 
 def image_error(kernels, wanted) -> tuple[float, float]:

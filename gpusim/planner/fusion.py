@@ -21,6 +21,7 @@ SMALLEST_TAIL = 1e-6  # predicted relative error below which float32 transforms 
 SAMPLES = 1 << 15  # pixels whose spectra stand for the scene's
 MOST_ENTRIES = 512  # materials in these, between which moments are looked for
 SAMPLED_PERIOD = 64  # [pixel] of the grid of frequencies at which operators are made and predicted
+DARKEST = 1e-30  # light below which there is none: no pixel of any camera gets one electron of it in a year
 ROUNDS = 10  # of the search for the operator of least maximum error: within 5 % of what 40 find
 
 
@@ -113,12 +114,13 @@ class Spectra:
         return cls.of_pairs(content.take(both.ravel()))
 
     @classmethod
-    def of_pairs(cls, pairs: Content) -> "Spectra":
+    def of_pairs(cls, pairs: Content, weight: np.ndarray | None = None) -> "Spectra":
         """Moments of pairs of neighbouring rows, one above the other.
 
-        Those of the entries, between which the spectra are.
+        Those of the entries, between which the spectra are. weight: of each pair, 1 in the mean, (n,); None: all alike.
         """
         entries = pairs.entry_spectra
+        weight = np.ones(pairs.shape[0] // 2) if weight is None else weight
         if pairs.labels is not None:  # of the materials that are there
             there = np.bincount(pairs.labels.ravel().astype(int)) > 0
             used, ids = np.flatnonzero(there), np.take(np.cumsum(there) - 1, pairs.labels)
@@ -126,27 +128,31 @@ class Spectra:
                 pairs, entries = Cube(pairs.wavelengths, pairs.bands_at(slice(None))), np.eye(len(pairs.wavelengths))
             else:
                 labelled = ids, np.asarray(pairs.planes, np.float64)
-                return cls(*_labelled_moments(*labelled, entries[used]))
+                return cls(*_labelled_moments(*labelled, entries[used], weight))
         # float32 sums of a cube's rows, a tenth of a plan's time in float64; differences of neighbours are exact
         lines = pairs.planes.swapaxes(0, 1).astype(np.float32 if pairs.is_spectral else np.float64, copy=False)
+        lines, power = in_range(lines)
         cols, (values, differences) = pairs.shape[1], np.zeros((2, len(entries), len(entries)))
-        for upper, lower in zip(lines[::2], lines[1::2], strict=True):
+        for upper, lower, part in zip(lines[::2], lines[1::2], weight, strict=True):
             across, down = np.diff(upper), lower - upper
-            values += upper @ upper.T / cols
-            differences += across @ across.T / max(cols - 1, 1) + down @ down.T / cols
-        values, differences = 2 / len(lines) * values, 2 / len(lines) * differences
+            values += part * (upper @ upper.T / cols)
+            differences += part * (across @ across.T / max(cols - 1, 1) + down @ down.T / cols)
+        values, differences = (np.ldexp(2 / len(lines) * sums, 2 * power) for sums in (values, differences))
         if pairs.is_spectral:
             return cls(values, differences)
         return cls(entries.T @ values @ entries, entries.T @ differences @ entries)
 
 
-def _labelled_moments(ids, shading, entries):
-    """The moments of samples of one entry each; ids, shading: of pairs of rows, one above the other."""
+def _labelled_moments(ids, shading, entries, weight):
+    """The moments of samples of one entry each; ids, shading: of pairs of rows, one above the other.
+
+    weight: of each pair, 1 in the mean.
+    """
     def products(a, b):
         """Sums of products of two entries at two places."""
         (ida, sa), (idb, sb) = a, b
         count = len(entries)
-        sums = np.bincount((ida * count + idb).ravel(), (sa * sb).ravel(), count**2)
+        sums = np.bincount((ida * count + idb).ravel(), (weight[:, None] * (sa * sb)).ravel(), count**2)
         return sums.reshape(count, count) / ida.size
 
     def differences(a, b):
@@ -158,6 +164,19 @@ def _labelled_moments(ids, shading, entries):
     if ids.shape[1] > 1:
         total = total + differences(*(tuple(part[:, cut] for part in upper) for cut in (np.s_[:-1], np.s_[1:])))
     return entries.T @ products(upper, upper) @ entries, entries.T @ total @ entries
+
+
+def in_range(values) -> tuple[np.ndarray, int]:
+    """Values over a power of two that makes the largest of them up to 1, and its exponent.
+
+    No bit is lost, and no square or sum of squares overflows: those of float32 end at 3e38, so those of light at 2e19.
+    Values that are all below DARKEST are no light: 0.
+    """
+    most = max(float(np.max(values, initial=0)), -float(np.min(values, initial=0)))
+    if most < DARKEST:
+        return np.zeros_like(values), 0
+    power = int(np.frexp(most)[1])
+    return values * values.dtype.type(2.0**-power), power
 
 
 def row_pairs(rows: int, cols: int) -> np.ndarray:
@@ -202,6 +221,8 @@ def joint_operator(response: Response, prior) -> Operator:
     exact because the channels' own responses span the first planes; the rest are eigenvectors of what those leave.
     """
     bands = len(prior)
+    if not np.trace(prior) > 0:  # of the dark
+        prior = np.eye(bands)
     ridged = prior + RIDGE * np.trace(prior) / bands * np.eye(bands)
     variance, directions = np.linalg.eigh(ridged)
     half = directions * np.sqrt(variance)  # ridged = half half^T
@@ -214,7 +235,7 @@ def joint_operator(response: Response, prior) -> Operator:
     eigenvalues, vectors = np.linalg.eigh(others @ power @ others)
     eigenvalues, vectors = np.maximum(eigenvalues[::-1], 0), vectors[:, ::-1]
     left = np.cumsum(eigenvalues[::-1])[::-1]  # left[k]: the eigenvalues from k on
-    tail = np.sqrt(np.append(left, 0) / np.trace(power))
+    tail = np.sqrt(np.append(left, 0) / max(np.trace(power), 1e-300))
     more = min(int(np.argmax(tail < SMALLEST_TAIL)), bands - exact.shape[1])
     # once more orthogonal: where eigenvalues are near 0, eigenvectors mix with the exact directions, which are at 0
     planes = np.linalg.qr(np.hstack([exact, vectors[:, :more]]))[0]

@@ -1,8 +1,10 @@
 """Where each pixel looks: the inverse of a distortion on a coarse grid, and what the lens loses toward the corner."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import BadData, OutOfRange
@@ -10,7 +12,9 @@ from gpusim.domain.sensor import Microlens
 from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2)  # [pixel] between nodes, at most
-PHASES = 16  # of places between samples that stand for all
+PHASES = 32  # of places between samples that stand for all
+MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
+PARTS = 8  # of a frame along an axis, the worst of which has its largest errors
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -111,17 +115,64 @@ def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shap
     return nodes
 
 
-def keys_error(f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transfer of the cubic of `optics.distort` at frequencies [cycle/sample], over that of the displacement itself.
+def interpolation_error(fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | None = None,
+                        width: float | None = None) -> np.ndarray:
+    """Mean square error of waves that `optics.distort` interpolates, relative to the waves, (frequencies, frequencies).
 
-    Its mean over places between samples, complex, and that of its square. Source: Keys 1981, see `optics.distort`.
+    fy, fx: frequencies along rows and columns [cycle/sample]. phases: share of the places that lie so far between
+    samples, see `place_phases`; None: all places alike. width: of the area that method "area" integrates [sample];
+    None: the method "cubic". Source: Keys 1981, see `optics.distort`.
     """
-    phases = (np.arange(PHASES) + 0.5) / PHASES
-    k = np.arange(-1, 3)
-    t = np.abs(phases[:, None] - k)
-    weights = np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1, ((-0.5 * t + 2.5) * t - 4) * t + 2)
-    transfer = np.einsum("pk,pkf->pf", weights, np.exp(2j * np.pi * (k - phases[:, None])[..., None] * np.asarray(f)))
-    return transfer.mean(axis=0), (np.abs(transfer) ** 2).mean(axis=0)
+    phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
+    along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
+    square = np.einsum("ab,af,bg->fg", phases, np.abs(along_y) ** 2, np.abs(along_x) ** 2, optimize=True)
+    return np.maximum(square - 2 * np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True).real + 1, 0)
+
+
+def _interpolated_waves(f, width):
+    """Waves exp(2 pi i f x) as interpolated at the PHASES places x, over the waves themselves, complex (PHASES, F)."""
+    places, k = np.arange(PHASES) / PHASES, np.arange(-3, 5)
+    t = np.abs(places[:, None] - k)
+    if width is None:
+        weights = np.where(t <= 1, (1.5 * t - 2.5) * t * t + 1,
+                           np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0.0))
+    else:
+        weights = np.clip((1 + width) / 2 - t, 0, min(1.0, width)) / width
+    return np.einsum("pk,pkf->pf", weights, np.exp(2j * np.pi * (k - places[:, None])[..., None] * np.asarray(f)))
+
+
+def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the pixels of a frame of `shape` that look so far between samples, and of its worst part.
+
+    Both (PHASES, PHASES), their sums 1. Entry [i, j]: i / PHASES between two rows of samples, j / PHASES between two
+    columns; places in between count for both neighbours, linearly. The worst of PARTS x PARTS parts is the one whose
+    waves of a fifth of a cycle per sample err the most.
+    """
+    edges = [np.linspace(0, n, count) - 0.5 for n, count in zip(shape, distortion.nodes.shape[:2], strict=True)]
+    pixels = [np.unique(np.linspace(0, n - 1, min(n, MOST_PLACES)).astype(int)) for n in shape]
+    at = [scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])(*pixels) % 1 * PHASES
+          for axis in (0, 1)]
+    parts = np.array([_shares(*(one[rows, cols] for one in at)) for cols in _parts(len(pixels[1]))
+                      for rows in _parts(len(pixels[0]))])
+    wrong = np.abs(_interpolated_waves([0.2], None)[:, 0] - 1) ** 2
+    worst = parts[np.argmax(np.einsum("nab,ab->n", parts, wrong[:, None] + wrong))]
+    return _shares(*at), worst
+
+
+def _parts(count):
+    """Slices of `count` places, PARTS of them if there are as many."""
+    edges = np.linspace(0, count, min(PARTS, count) + 1).astype(int)
+    return [slice(*pair) for pair in pairwise(edges.tolist())]
+
+
+def _shares(down, across):
+    """Shares of places in a periodic histogram of PHASES x PHASES, linear between its entries."""
+    total = np.zeros((PHASES, PHASES))
+    (i, v), (j, u) = ((one.astype(int), one % 1) for one in (down, across))
+    for more_i, weight_i in ((0, 1 - v), (1, v)):
+        for more_j, weight_j in ((0, 1 - u), (1, u)):
+            np.add.at(total, ((i + more_i) % PHASES, (j + more_j) % PHASES), weight_i * weight_j)
+    return total / total.sum()
 
 
 def _half_way(cells):

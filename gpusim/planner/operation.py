@@ -45,9 +45,13 @@ class Operation:
         if seconds is None:
             dark = sensor.noise.dark_current * sensor.noise.warmth
             try:
-                seconds = sensor.auto_exposure.choose(rates + dark, sensor.saturation)[0]
-                if sensor.auto_exposure.method == "full" and highest > 0:
-                    seconds *= float(looked.max()) / highest
+                automatic, brightest = sensor.auto_exposure, float(looked.max())
+                if automatic.method == "highlights" and brightest > 0:
+                    top = rates.max() * highest / brightest  # the frame's brightest need not be among these samples
+                    rates = np.append(np.minimum(rates, top), top)
+                seconds = automatic.choose(rates + dark, sensor.saturation)[0]
+                if automatic.method == "full" and highest > 0:
+                    seconds *= brightest / highest
             except BadData:  # a dark scene: whoever exposes it says so
                 seconds = 1.0
         return cls(float(seconds), size, float(sensor.read_sigma**2))

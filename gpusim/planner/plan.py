@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from gpusim.domain.account import Account, Bound, Verdict, total
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
+from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.tiling import Tiling
@@ -23,12 +24,14 @@ from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
 from gpusim.planner.models.field import doubt_of
 from gpusim.planner.notes import Notes
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import Taps
 from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
 from gpusim.planner.tables import Kept, made_anew
 
 STORED = 2.0**-24 / 3**0.5  # relative RMS of electrons stored as float32: evenly up to half of the last bit
+LETTERS = 12  # of a plan's name
 ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without transforms
 
 
@@ -67,6 +70,8 @@ class Plan:
     planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
         of that one then. probed: which scene's probes told the others, or why the plan was made anew.
     is_draft: whether it was made for another lens, see `gpusim.planner.draft`: the account is of that.
+    single: whether the account is that of float32.
+    given_of: name of the scene that it was made for, if it was given for another, whose account it has.
     """
 
     scene: Scene
@@ -104,6 +109,8 @@ class Plan:
     far: FarField | None = None
     tiling: Tiling | None = None
     is_draft: bool = False
+    single: bool = True
+    given_of: str = ""
 
     def __repr__(self):
         rows, cols = self.scene.shape
@@ -120,6 +127,27 @@ class Plan:
     def __getstate__(self):
         """Its fields and its front; what this is computed from is not pickled."""
         return {**self.__dict__, "front": self.front, "tell_front": tuple}
+
+    @cached_property
+    def name(self) -> str:
+        """Digest of its decisions: plans of one name make the same frame of a scene, bit for bit on one device.
+
+        What it predicts and the samples of its scene have no part in it. Computed numbers count as float32, as devices
+        take them.
+        """
+        optics, sensor, scene, varying, depth = (self.camera.optics, self.camera.sensor, self.scene, self.varying,
+                                                 self.depth)
+        numbers = (self.weights, self.white_rate, self.flat, self.table, self.mix, self.transfers, self.falloff, self.q,
+                   self.slope, self.taps and [(axis.start, axis.weights) for axis in self.taps],
+                   self.far and (self.far.sigmas, self.far.tails, self.far.spacings),
+                   self.distortion and self.distortion.nodes, varying and (varying.kernels, varying.edges),
+                   depth and (depth.distances, depth.kernels, depth.confusion))
+        choices = (self.folded, self.spare, self.period, self.tiling, self.far and self.far.border, self.highlights,
+                   self.distortion and self.distortion.method, varying and (varying.method, varying.index),
+                   depth and (depth.layers, depth.layer))
+        kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
+        return digest((kind, optics, sensor.pixel_pitch, sensor.aperture, sensor.displacement, sensor.cfa,
+                       sensor.channels, _as_float32(numbers), choices))[:LETTERS]
 
     @property
     def count(self) -> int:
@@ -141,17 +169,30 @@ class Plan:
 
         Its predicted errors are those of its own scene then.
         """
+        return not self.misfit(scene)
+
+    def misfit(self, scene: Scene) -> str:
+        """Why it does not say how to make a frame of another scene, in words; "" if it does."""
         own = self.scene
-        if any(part is not None for part in (self.highlights, self.varying, own.depth, scene.depth)):
-            return False
+        for part, why in ((self.highlights, "it has split off the highlights of its own scene"),
+                          (self.varying, "its blur varies over the field, by its own scene's light"),
+                          (own.depth, "its blur goes by its own scene's depth"),
+                          (scene.depth, "that scene has depth")):
+            if part is not None:
+                return why
+        if not own.content.is_like(scene.content):
+            return "wanted content of the same kind, wavelengths and entries"
         light, its = own.illuminant, scene.illuminant
-        return (own.content.is_like(scene.content) and own.content.shape == scene.content.shape
-                and (light is its or (np.array_equal(light.values, its.values)
-                     and np.array_equal(light.wavelengths, its.wavelengths)))
-                and own.view.is_plain == scene.view.is_plain
-                and own.view.is_whole(own.samples_per_pixel) == scene.view.is_whole(own.samples_per_pixel)
-                and all(getattr(own, name) == getattr(scene, name)
-                        for name in ("border", "margin", "fov", "samples_per_pixel")))
+        if light is not its and not (np.array_equal(light.values, its.values)
+                                     and np.array_equal(light.wavelengths, its.wavelengths)):
+            return "wanted the same light"
+        ratio = own.samples_per_pixel
+        if own.view.is_plain != scene.view.is_plain or own.view.is_whole(ratio) != scene.view.is_whole(ratio):
+            return "wanted a view of the same kind"
+        pairs = [("samples", own.content.shape, scene.content.shape), *(
+            (name, getattr(own, name), getattr(scene, name)) for name in ("border", "margin", "fov",
+                                                                          "samples_per_pixel"))]
+        return next((f"its {name}: {its}, wanted {wanted}" for name, wanted, its in pairs if wanted != its), "")
 
     def lasts(self, exposure_time: float | None) -> bool:
         """Whether a tolerance that it meets is met by it at another exposure time [s], too; None: that of its own."""
@@ -220,26 +261,24 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         blurred = question = question.limited(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
+    told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
-        geometry.viewed(question, probes or spectral.probes_of(question, picture, operation), notes)
-    by_depth, one_distance = depth.by_depth(question)
-    name, rounding = "rounding", ROUNDING if single else STORED
-    if single and question.is_blurred:
-        name, rounding = "transforms", TRANSFORM_ERROR
-    fixed = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
+        geometry.viewed(question, told(), notes)
+    placed = geometry.interpolated(question, told, notes)
+    by_depth = depth.by_depth(question, told, notes)
+    fixed = rounding_of(question, probes, single)
     seen = _seen(question, picture, probes, operation, by_depth, fixed, notes) if question.is_blurred else _plain(
         question, blurred, fixed, notes)
     taps, spare = sampling.taps_of(question, seen.around.spare if seen.around else 0)
     depth.describe(by_depth, notes)
     picture.describe(notes)
-    distortion = geometry.distorted(question, probes, notes)
+    distortion = geometry.distorted(question, placed, probes, notes)
+    geometry.describe_calibration(question, notes)
     gains, slope = falloff.falloff_of(question, probes, notes)
     if seen.around:
         seen.around.describe(question, notes)
     spectral.describe_unseen(question, notes)
     sampling.describe(question, taps, notes)
-    if one_distance:
-        notes.left_out.append(f"depth: {one_distance}, so the blur is the same at all distances")
     weights, planes = question.weights, seen.planes
     account = Account(notes.bounds, operation.seconds, doubt_of(question))
     return Plan(
@@ -250,7 +289,22 @@ def plan(scene: Scene, camera: Camera, *, tolerance: Tolerance | None = None, gu
         notes.left_out, account, notes.beside,
         None if tolerance is None else account.verdict(tolerance, seen.remedy), seen.tell_front,
         tolerance=tolerance, far=seen.around.far if seen.around else None,
-        tiling=seen.around.tiling if seen.around else None)
+        tiling=seen.around.tiling if seen.around else None, single=single)
+
+
+def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict[str, Bound]:
+    """The named error of rounding. probes: of the scene, if there is a tolerance. single: see `plan`."""
+    name, rounding = "rounding", ROUNDING if single else STORED
+    if single and question.is_blurred:
+        name, rounding = "transforms", TRANSFORM_ERROR
+    return {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
+
+
+def _as_float32(value):
+    """Arrays and numbers as devices take them: float32."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_as_float32, value))
+    return np.asarray(value, np.float32) if isinstance(value, float | np.ndarray) else value
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,10 +324,11 @@ def _plain(question, blurred, fixed, notes):
     notes.bounds |= fixed
     planes, limit = spectral.unblurred(question, notes), None
     if blurred.is_blurred:
-        bound = notes.bounds["blur left out"]
+        bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
         planes = replace(planes, watch=spectral.watch_of_no_blur(blurred, bound))
         limit = max(blurred.limit, HEADROOM * bound.rms)
-    return _Seen(planes, limit=limit, remedy=REMEDIES["rounding"])
+    by = max(notes.bounds, key=lambda name: notes.bounds[name].rms)
+    return _Seen(planes, limit=limit, remedy=REMEDIES.get(by, "a larger tolerance would be met"))
 
 
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):

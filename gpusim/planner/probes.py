@@ -14,12 +14,13 @@ from gpusim.domain.account import Bound
 from gpusim.domain.view import View
 from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
-from gpusim.planner.fusion import SAMPLED_PERIOD
-from gpusim.planner.geometry import keys_error
+from gpusim.planner.fusion import SAMPLED_PERIOD, in_range
+from gpusim.planner.geometry import interpolation_error
 from gpusim.planner.windows import Windows, quantile
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
 INNER = SIDE - 2 * RIM
+UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over that of all channels, from which on it is the error
 COUNT, LEAST_WINDOWS = 12, 4  # windows of 31 wavelengths; of more there are fewer, but not below these
 
 
@@ -31,7 +32,10 @@ class Probes:
     SIDE // 2 + 1). means: (n, L). tables: transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE //
     2 + 1). weights: electrons per content, (C, L); even: of what the tables make flat. share: part of the pixels that
     has each channel, (C,). level: root mean square of the frame's channels together. seconds: of the exposure [s].
-    noise: variance of the read noise [e-2].
+    noise: variance of the read noise [e-2]. apart: mean square of the mosaic over that of the channels together, of
+    highlights that the windows do not hold; None: there are none. inner: rows and columns of the windows' inner parts
+    that are in the frame. channels: which channel each pixel of the inner parts has, int (n, *inner); None: several, or
+    samples are no pixels.
     """
 
     windows: Windows
@@ -44,6 +48,9 @@ class Probes:
     level: float
     seconds: float
     noise: float
+    apart: float | None = None
+    inner: tuple[int, int] = (INNER, INNER)
+    channels: np.ndarray | None = None
 
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
@@ -64,12 +71,17 @@ class Probes:
 
     @cached_property
     def signal(self) -> np.ndarray:
-        """Electrons per second of the channels in the windows' inner parts, (n, C, INNER, INNER)."""
+        """Electrons per second of the channels in the windows' inner parts, (n, C, *inner)."""
         return np.maximum(self._inside(self.exact) + (self.means @ self.weights.T)[..., None, None], 0)
 
-    @staticmethod
-    def _inside(spectra):
-        return scipy.fft.irfft2(spectra, (SIDE, SIDE))[..., RIM:-RIM, RIM:-RIM]
+    def _inside(self, spectra):
+        rows, cols = self.inner
+        return scipy.fft.irfft2(spectra, (SIDE, SIDE))[..., RIM : RIM + rows, RIM : RIM + cols]
+
+    def _of_mosaic(self, values):
+        """Mean square of the windows' inner parts (n, C, rows, cols), of the channel that each pixel has."""
+        own = np.take_along_axis(values, self.channels[:, None], 1)
+        return float(self.windows.weight @ _mean_squares(own)[:, 0])
 
     @cached_property
     def _size(self):
@@ -77,6 +89,8 @@ class Probes:
         weight = self.windows.weight
         together = weight @ _mean_squares(self.signal.sum(axis=1))
         mosaic = weight @ _mean_squares(self.signal) @ self.share
+        if self.apart is not None and self.level**2 > together:
+            return float(np.sqrt(mosaic + self.apart * (self.level**2 - together)))
         return self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
 
     def bound(self, wrong) -> Bound:
@@ -85,13 +99,19 @@ class Probes:
             return Bound()
         error = np.abs(self._inside(wrong))
         weight = self.windows.weight[:, None] * self.share
-        rms = np.sqrt((weight * _mean_squares(error)).sum()) / self._size
+        squares = (weight * _mean_squares(error)).sum()
+        rms = np.sqrt(squares) / self._size
+        if self.channels is not None:  # few pixels hold the error, so that it depends on the channels that they have
+            own, size = self._of_mosaic(error), self._of_mosaic(self.signal)
+            even = self.windows.weight @ _mean_squares(self.signal) @ self.share
+            if size > 0 and own * even > UNEVEN * squares * size:
+                rms *= np.sqrt(own / squares * (even / size if self.apart is None else 1.0))
         sigma = error * (self.seconds / self._sigma)
         return Bound(float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest))
 
     @cached_property
     def _sigma(self):
-        """Noise of the pixels in the windows' inner parts [e-], (n, C, INNER, INNER)."""
+        """Noise of the pixels in the windows' inner parts [e-], (n, C, *inner)."""
         return np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
 
     @cached_property
@@ -104,6 +124,10 @@ class Probes:
         """The error of leaving the blur out."""
         return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact)
 
+    def changed(self, share: float) -> Bound:
+        """A bound of the error of transfer functions that are wrong by up to `share`, 1 that of no blur."""
+        return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share))
+
     def moved(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
         f = np.fft.fftfreq(SIDE)[:, None] + np.fft.rfftfreq(SIDE)
@@ -114,11 +138,15 @@ class Probes:
 
         In the mean over all places between samples: a view by half a sample errs 1.3 times as much.
         """
-        if view.is_whole(ratio):
-            return Bound()
-        (mean_y, square_y), (mean_x, square_x) = map(keys_error, (np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE)))
-        square = square_y[:, None] * square_x - 2 * np.real(mean_y[:, None] * mean_x) + 1
-        return self.bound(self.exact * np.sqrt(np.maximum(square, 0)).astype(np.float32))
+        return Bound() if view.is_whole(ratio) else self.interpolated()
+
+    def interpolated(self, phases=None, width: float | None = None) -> Bound:
+        """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
+
+        Between samples the truth is the wave of each frequency that runs through them.
+        """
+        square = interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, width)
+        return self.bound(self.exact * np.sqrt(square).astype(np.float32))
 
     def between(self, step: float, path: float) -> Bound:
         """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.
@@ -190,5 +218,7 @@ def _mixed(weights, spectra):
 
 
 def _mean_squares(values):
-    """Over the last two axes, in the type of the values."""
-    return np.einsum("...yx,...yx->...", values, values) / INNER**2
+    """Over the last two axes, float64 of sums in the type of the values."""
+    values, power = in_range(values)
+    rows, cols = values.shape[-2:]
+    return np.ldexp(np.float64(np.einsum("...yx,...yx->...", values, values) / (rows * cols)), 2 * power)

@@ -7,6 +7,7 @@ from math import ceil
 import numpy as np
 
 from gpusim.domain.account import SAFETY
+from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.distortion import Model, framed
@@ -21,6 +22,7 @@ from gpusim.planner.probes import Probes
 from gpusim.planner.tables import Kept, Tables
 from gpusim.planner.weights import check_light, electrons_per_content
 
+MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 
 
@@ -64,7 +66,8 @@ class Question:
     def limited(self, probes: Probes) -> "Question":
         """The same with the relative RMS error at which an error at edges breaks the tolerance."""
         assert self.tolerance is not None
-        return replace(self, limit=1 / (SAFETY * probes.local(1.0).ratio(self.tolerance)))
+        # in the dark no error breaks it
+        return replace(self, limit=1 / max(SAFETY * probes.local(1.0).ratio(self.tolerance), 1 / MOST_LIMIT))
 
     @property
     def optics(self) -> Optics:
@@ -96,6 +99,21 @@ class Question:
         """The lens's, for this frame; None: it shows what a pinhole does. Raises OutOfRange."""
         distortion = self.optics.distortion
         return None if distortion is None else framed(distortion, self.scene.shape, self.sensor.pixel_pitch)
+
+    @property
+    def axis(self) -> tuple[float, float]:
+        """Where the optical axis meets the sensor, from the frame's middle, (rows, cols) [pixel]."""
+        distortion = self.distortion
+        if not isinstance(distortion, Framed):
+            return 0.0, 0.0
+        x, y = (distortion.radius / self.sensor.pixel_pitch * at for at in distortion.middle)
+        return y, x
+
+    @property
+    def from_axis(self) -> tuple[float, float]:
+        """Displacement of the grid of pixels from one that is centred on the optical axis, (rows, cols) [pixel]."""
+        (down, across), (y, x) = self.sensor.displacement, self.axis
+        return down - y, across - x
 
     @property
     def size(self) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.planner.balance import estimate_white
 from gpusim.planner.color import TransformSet, color_matrix, transform_set
 from gpusim.planner.plan import Plan
+from gpusim.planner.weights import product_weights
 
 _BEFORE_TONE = attrgetter(*(part.name for part in fields(Processor) if part.name != "tone"))
 
@@ -58,10 +59,10 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
               keep=lambda _, __, make: make()) -> Rendering:
     """Transforms by which white in the scene's light comes out neutral, and as bright as `Processor.scaling` says.
 
-    "exposure": display white is `AutoExposure.white` of saturation, a property of the camera alone, so that linear
-    display values are proportional to exposure time and analog gain up to saturation, 1 / `AutoExposure.white` of
-    display white, where all channels are clipped to white. "normalised": the camera value of a perfect white diffuser
-    is display white; where the scene's light is unknown, saturation is.
+    "exposure": display white is `AutoExposure.white` of saturation in the sensor's strongest channel, a property of the
+    camera alone, so that linear display values are proportional to exposure time and analog gain up to saturation,
+    1 / `AutoExposure.white` of display white, where all channels are clipped to white. "normalised": the camera value
+    of a perfect white diffuser is display white; where the scene's light is unknown, saturation is.
     camera: as operated (see `gpusim.frame.Exposure`). exposure_time: [s]. pixels: whose charge was added. Where
     the scene's light is unknown, or not to be used, the target light is assumed. keep: function (what, key, make) that
     may give what make() gave before for the same key.
@@ -76,7 +77,8 @@ def rendering(plan: Plan, camera: Camera, exposure_time: float, pixels: int = 1,
     if rates is not None:
         white = diffuser = saturation * (rates.max() * exposure_time * pixels / sensor.saturation)
     if processor.scaling == "exposure":
-        white = saturation * sensor.auto_exposure.white
+        share = keep("share of white", (*key, "share"), lambda: _share_of_white(plan, camera))
+        white = saturation * sensor.auto_exposure.white * share
     return colors.at(white, saturation, 1.0 if rates is None else diffuser / white)
 
 
@@ -91,6 +93,21 @@ def _white_rates(plan, camera):
     if rates is None or letters == XYZ:
         return rates
     return rates[[camera.sensor.channels.index(letter) for letter in letters]]
+
+
+def _share_of_white(plan, camera) -> float:
+    """Return white in the strongest plane over white in the strongest pixel, 1 unless learned filters leave it out.
+
+    Exposure is metered on all pixels, clear ones too, and filters may give only red, green and blue.
+    """
+    shown, letters = planes_of(camera), camera.sensor.channels
+    if shown == XYZ or {*letters} <= {*shown}:
+        return 1.0
+    rates = plan.white_rate
+    if rates is None:
+        light = photons_from_energy(illuminant(camera.processor.target))
+        rates = product_weights(light.wavelengths, light, efficiency(camera, letters)).sum(axis=-1)
+    return float(rates[[letters.index(letter) for letter in shown]].max() / rates.max())
 
 
 def _colors(plan, camera, keep):

@@ -151,8 +151,13 @@ class Moments:
     changes: np.ndarray
 
 
-def moments(pairs: Content, seen) -> Moments:
-    """Moments of pairs of neighbouring rows, one above the other, that channels see as `seen`, (C, rows, cols)."""
+def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
+    """Moments of pairs of neighbouring rows, one above the other, that channels see as `seen`, (C, rows, cols).
+
+    weight: of each pair, 1 in the mean, (n,); None: all alike.
+    """
+    if weight is not None:
+        seen = seen * np.sqrt(np.repeat(weight, 2))[:, None]
     upper, lower, ids = seen[:, ::2], seen[:, 1::2], pairs.labels
     jumps = changes = np.zeros(len(seen))
     for step, jumped in ((lower - upper, None if ids is None else ids[::2] != ids[1::2]),

@@ -29,6 +29,9 @@ REMEDIES = {"transforms": "float64 would, so use device numpy",
             "rounding": "float64 would, so use device numpy",
             "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
             "view": "a scene drawn finer, by samples_per_pixel, would be met",
+            "distortion": "a scene drawn finer, by samples_per_pixel, would be met",
+            "depth left out": "a lens without field variation, distortion or measured spreads would show it",
+            "depth, light behind the edges of layers": "a larger tolerance would be met",
             "depth": "a scene that gives its layers, or less depth, would be met"}
 
 
@@ -125,7 +128,8 @@ def remedy(question: Question, found: list[Option], arounds: Iterable[list[Surro
         return ""
     best = min(found, key=lambda option: option.total.ratio(tolerance))
     rest = [bound for name, bound in best.bounds.items() if name != "border"]
-    by = max(best.bounds, key=lambda name: best.bounds[name].ratio(tolerance))
+    known = {name: bound for name, bound in best.bounds.items() if bound.is_known}
+    by = max(known, key=lambda name: known[name].ratio(tolerance))
     if SAFETY * total(rest).ratio(tolerance) <= 1:
         for around in chain.from_iterable(arounds):
             if SAFETY * total([*rest, around.bound]).ratio(tolerance) <= 1:

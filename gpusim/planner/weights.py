@@ -9,7 +9,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
-from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.spectrum import Spectrum, seen_band
 
 STEP = 0.1  # [nm]; lines narrower than this must be given as such in the tables
 
@@ -21,23 +21,26 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     reflectance, is interpolated: w_i is the integral of the factors times the cardinal cubic spline of node i. A
     trapezoid sum over the nodes instead errs by up to 66 % under a fluorescent lamp (10 nm nodes).
 
-    nodes: the scene's wavelengths [nm], shape (L,); what lies outside them is not seen. factors: each one function or N
+    nodes: the scene's wavelengths [nm], shape (L,); what lies outside them is not seen. One node stands for the band
+    that `seen_band` says, in which R does not change. factors: each one function or N
     of them; the functions broadcast. Returns shape (..., L), the unit of the factors' product times nm.
     Raises BadData when a factor has no wavelength in common with the scene.
     """
     from scipy.interpolate import CubicSpline
 
     nodes = np.asarray(nodes, np.float64)
+    band = seen_band(nodes)
     for factor in factors:
-        if factor.wavelengths[-1] <= nodes[0] or factor.wavelengths[0] >= nodes[-1]:
+        if factor.wavelengths[-1] <= band[0] or factor.wavelengths[0] >= band[1]:
             raise BadData(f"{factor.name or 'a spectrum'} covers {factor.wavelengths[0]:g} .. "
                           f"{factor.wavelengths[-1]:g} nm, the scene {nodes[0]:g} .. {nodes[-1]:g} nm: no overlap")
-    tables = [nodes, *(factor.wavelengths for factor in factors)]
+    tables = [nodes if len(nodes) > 1 else np.array(band), *(factor.wavelengths for factor in factors)]
     low, high = max(table[0] for table in tables), min(table[-1] for table in tables)  # beyond, a factor is zero
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
     grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]
-    cardinal = CubicSpline(nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural")
+    cardinal = np.ones_like if len(nodes) == 1 else CubicSpline(
+        nodes, np.eye(len(nodes)), bc_type="not-a-knot" if len(nodes) > 3 else "natural")
     product = np.ones(len(grid))
     for factor in factors:
         product = product * factor.at(grid)
@@ -45,7 +48,7 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     trapezoid = np.zeros(len(grid))
     trapezoid[:-1] += steps / 2
     trapezoid[1:] += steps / 2
-    return (product * trapezoid) @ cardinal(grid)
+    return (product * trapezoid) @ cardinal(grid).reshape(len(grid), -1)
 
 
 def electrons_per_content(scene: Scene, camera: Camera) -> np.ndarray:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from gpusim.planner.fusion import in_range
+
 MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
 EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
 
@@ -55,10 +57,14 @@ def _edges(brightness, margin, border, inner):
     rows, cols = (n - 2 * margin for n in brightness.shape)
     starts = [_starts(n, inner) for n in (rows, cols)]
     stride, found = max(1, round(brightness.size / MOST_STEPS)), []
+    tops = brightness.max(axis=1) if stride > 1 else None
+    unit = _unit(brightness if tops is None else tops)
     ends = np.stack([starts[1], np.minimum(starts[1] + inner, cols)], axis=1)
     for y in starts[0]:
         at = margin + np.arange(y, min(y + inner, rows), stride)
-        line, below = brightness[at], brightness[np.minimum(at + 1, len(brightness) - 1)]
+        if tops is not None:
+            at = _with_brightest(at, tops, margin + min(y + inner, rows))
+        line, below = (brightness[each] * unit for each in (at, np.minimum(at + 1, len(brightness) - 1)))
         step = np.abs(below - line)
         across = np.abs(np.diff(line, axis=1))
         np.maximum(step[:, :-1], across, out=step[:, :-1])
@@ -68,13 +74,24 @@ def _edges(brightness, margin, border, inner):
             step[:, 0], step[:, -1] = np.maximum(step[:, 0], line[:, 0]), np.maximum(step[:, -1], line[:, -1])
             for edge, row in ((0, 0), (rows - 1, -1)):
                 if y <= edge < y + inner:
-                    step[row] = np.maximum(step[row], brightness[edge])
+                    step[row] = np.maximum(step[row], brightness[edge] * unit)
         lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
         # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
         found.append([by.reduceat(np.append(line, 0), ends.ravel())[::2]
                       for by, line in zip((np.add, np.maximum), lines, strict=True)])
     energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
     return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
+
+
+def _unit(brightness):
+    """A power of two, in the type of the values, that makes the largest up to 1, so that no square overflows."""
+    return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
+
+
+def _with_brightest(at, tops, end):
+    """Rows, up to `end`, with the brightest added if it is more than twice as bright as these. tops: of all rows."""
+    most = at[0] + int(np.argmax(tops[at[0] : end]))
+    return np.union1d(at, most) if tops[most] > 2 * tops[at].max() else at
 
 
 def _starts(n, inner):

@@ -65,7 +65,7 @@ def plan(what, figure=None) -> Any:
         raise BadData(f"plan: {type(what).__name__}, wanted a Forecast or a frame's Report")
     _, name, *_ = account.total.nearest(tolerance or Tolerance(rms=1.0))
     errors = {cause: getattr(bound, name) for cause, bound in account.bounds.items()}
-    errors = {cause: value for cause, value in errors.items() if value > 0} | {"all together":
+    errors = {cause: value for cause, value in errors.items() if 0 < value < np.inf} | {"all together":
                                                                              getattr(account.total, name)}
     ms = {stage: value for stage, value in ms.items() if value > 0}
     height = 1.6 + 0.3 * max(len(ms), len(errors) + 1)
@@ -79,7 +79,7 @@ def plan(what, figure=None) -> Any:
         axes[0, 1].legend(frameon=False, fontsize="small", loc="best")
         axes[0, 1].set_xlim(right=1.2 * max(asked, *errors.values()))
     if verdict is not None:
-        title += f"; tolerance {'met' if verdict.met else 'NOT met'}"
+        title += f"; tolerance {verdict.shown}"
     figure.suptitle(title, fontsize="medium")
     return figure
 

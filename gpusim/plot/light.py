@@ -7,9 +7,11 @@ from operator import index
 from typing import Any
 
 import numpy as np
+import scipy
 
 from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera, checked_camera
+from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
 from gpusim.domain.noise import Noise
@@ -17,12 +19,14 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import LONGEST, SHORTEST, Spectrum, energy_from_photons, energy_per_photon
+from gpusim.domain.view import View
 from gpusim.measure.ideal import pixel_sums, sample_sums
+from gpusim.planner.border import rule_of
 from gpusim.planner.sampling import frame_start
 from gpusim.planner.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
-from gpusim.truth import viewed
 
+MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}  # of borders, as SciPy names them
 UNSEEN = (0.4, 0.4, 0.4)
 BRIGHT = 99.5  # percentile of the luminance that is shown as white where no white is known
 QUANTITIES = {"radiance": "[W m⁻² sr⁻¹ nm⁻¹]", "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]", "reflectance": "[1]"}
@@ -44,7 +48,7 @@ def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
 
     step: above 1 every so many samples are looked at, and no others.
     """
-    scene = viewed(checked_scene(scene))
+    scene = _viewed(checked_scene(scene))
     weights, white = _eye(scene)
     if step > 1:
         window = slice(scene.margin, -scene.margin or None, step)
@@ -67,7 +71,7 @@ def spectra(scene: Scene, at=None, ax=None, *, quantity: str = "radiance") -> An
     """
     if quantity not in QUANTITIES:
         raise UnknownName("quantity", str(quantity), QUANTITIES)
-    scene = viewed(checked_scene(scene))
+    scene = _viewed(checked_scene(scene))
     if quantity == "reflectance" and not scene.light_is_known:
         raise BadData(f"spectra: {scene.name} is radiance, whose light is not known; wanted another quantity than "
                       "reflectance")
@@ -123,7 +127,7 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
     Returns the figure of matplotlib, which draws anew while its window, or a notebook's `%matplotlib widget`, is open.
     Raises as `scene` and `spectra`.
     """
-    scene = viewed(checked_scene(scene))
+    scene = _viewed(checked_scene(scene))
     figure, axes = panels(None, 1, 2, (11.0, 4.4))
     left, right = axes[0]
     draw_scene(scene, left)
@@ -231,3 +235,22 @@ def _window(scene, place):
         low = int(start + first * ratio + 1e-9)
         window.append(slice(low, max(low + 1, ceil(start + last * ratio - 1e-9))))
     return tuple(window)
+
+
+def _viewed(scene) -> Scene:
+    """The scene that a view shows, between its samples a spline of the fifth order; itself where it is plain.
+
+    Source: Thevenaz, Blu and Unser, Interpolation revisited, IEEE Trans. Med. Imaging 19 (2000).
+    """
+    if scene.view.is_plain:
+        return scene
+    content = scene.content.on_host()
+    if type(content) is not Basis:  # splines overshoot, which a basis may
+        content = Basis(content.wavelengths, content.bands_at(slice(None)), np.eye(len(content.wavelengths)))
+    middle = [(n - 1) / 2 for n in content.shape]
+    y, x = np.indices(content.shape)
+    y, x = scene.view.place(y - middle[0], x - middle[1], scene.samples_per_pixel)
+    planes = np.stack([scipy.ndimage.map_coordinates(
+        plane.astype(np.float64), [y + middle[0], x + middle[1]], order=5, mode=MODES[rule_of(scene.border)])
+        for plane in content.planes])
+    return replace(scene, content=content.with_planes(planes), view=View())

@@ -77,15 +77,16 @@ def _report(report):
     lines = str(report).split("\n")
     rows = [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
     rows.append(("all stages", f"{report.ms:.3g} ms", f"of {report.wall_ms:.4g} ms, planning and copies included"))
-    for name, bound in [*report.account.bounds.items(), ("all together", report.account.total)]:
-        rows.append((f"predicted error: {name}", f"{bound.rms:.2g} rms", f"99.9 % below {bound.p999_sigma:.2g} sigma, "
-                     f"largest {bound.max_sigma:.2g} sigma"))
+    for name, bound in report.errors:
+        sigmas = f"99.9 % below {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+        rows.append((f"predicted error: {name}", *((f"{bound.rms:.2g} rms", sigmas) if bound.is_known else (
+            "not known", ""))))
     if report.error:
         error = report.error
         rows.append(("true error", f"{error.rms:.2g} rms", f"99.9 % below {error.p999_sigma:.2g} sigma, largest "
                      f"{error.max_sigma:.2g} sigma"))
     if report.tolerance is not None:
-        rows.append(("tolerance", "met" if report.verdict and report.verdict.met else "NOT met", str(report.verdict)))
+        rows.append(("tolerance", report.verdict.shown if report.verdict else "", str(report.verdict)))
     rows += [("not modelled", "", "; ".join(report.left_out)), *(("note", "", note) for note in report.notes)]
     return _table(lines[0], rows)
 

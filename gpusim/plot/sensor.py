@@ -60,13 +60,14 @@ def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = 
     if np.isposinf(found.snr).any():
         raise BadData("snr: the sensor has no noise, so its ratio is infinite; wanted some, if only of photons")
     ax = axes_of(ax)
-    left, lowest = ax.get_xlim()[0] if ax.get_lines() else np.inf, max(LOWEST, float(np.nanmin(found.snr)))
-    most = int(found.electrons[:, -1].argmax())
-    seen = ~np.isnan(found.snr[most])
+    left, lowest = ax.get_xlim()[0] if ax.get_lines() else np.inf, max(LOWEST, float(found.snr.min()))
+    most = int(found.saturation.argmin())
+    seen = found.exposure <= found.saturation[most]
     for (letter, color), values, full in zip(channel_colors(sensor.channels).items(), found.snr, found.saturation,
                                              strict=True):
-        best = "" if np.isnan(values).all() else f", at most {np.nanmax(values):.1f} dB"
-        curve(ax, found.exposure, values, color, f"{label} channel {letter}{best}".strip())
+        best = f", at most {values.max():.1f} dB" if np.isfinite(full) else ""
+        below = np.where(found.exposure <= full, values, np.nan)
+        curve(ax, found.exposure, below, color, f"{label} channel {letter}{best}".strip())
         if np.isfinite(full):
             ax.plot([full], values[found.exposure == full], "o", color=color, markersize=4)
     alone = f"{label} photons alone, channel {sensor.channels[most]}".strip()
@@ -74,7 +75,7 @@ def snr(camera, ax=None, *, light="D65", seconds: float = 0.0, temporal: bool = 
             label=legend_once(ax, alone))
     ax.set_xscale("log")
     ax.set_ylim(bottom=lowest)
-    ax.set_xlim(left=min(left, found.exposure[np.nanmax(found.snr, axis=0) >= lowest][0]))
+    ax.set_xlim(left=min(left, found.exposure[found.snr.max(axis=0) >= lowest][0]))
     named = light if isinstance(light, str) else light.name or "the light given"
     name = camera.name if isinstance(camera, Camera) else ""
     return finish(ax, name, f"{'temporal ' * temporal}SNR up to saturation",

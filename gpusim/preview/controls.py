@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
+from gpusim.domain.errors import BadData, OutOfRange, shown
 from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
 
 PLACES = 1000  # of a slider
+BEYOND, BEYOND_LOG = 2, 10  # a number that is typed may be as many times as large as a slider's end
 OWN = "the scene's"  # light
 LIGHTS = ("D65", "D50", "A", "FL2", "FL11", "LED-B1", "LED-B5", "LED-RGB1", "daylight-10000K", "blackbody-2000K")
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
@@ -45,6 +47,25 @@ class Control:
     def name(self) -> str:
         """Of the control, for links and tests."""
         return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
+
+    def check(self, value):
+        """Raise BadData, OutOfRange for what neither a slider nor a number typed beside it sets.
+
+        Numbers may lie beyond a slider's ends, but not far: pictures of what is far beyond take minutes.
+        """
+        if self.choices:
+            if not any(type(value) is type(one) and value == one for one in self.choices):
+                raise BadData(f"{self.label} = {shown(value)}: wanted one of {', '.join(map(str, self.choices))}")
+            return
+        if self.off is not None and type(value) is type(self.off) and value == self.off:
+            return
+        if type(value) not in (int, float):
+            raise BadData(f"{self.label} = {shown(value)}: wanted a number"
+                          + (f", or {self.off}" if self.off is not None else ""))
+        low, high = ((self.low / BEYOND_LOG, self.high * BEYOND_LOG) if self.is_log else
+                     (min(self.low, 0) * BEYOND, self.high * BEYOND))
+        if not low <= value <= high:
+            raise OutOfRange(self.label, f"{shown(value)} {self.unit}".rstrip(), f"{low:g} .. {high:g}")
 
 
 def _noise(key, label, high, unit, low):

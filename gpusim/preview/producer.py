@@ -62,8 +62,9 @@ class Producer:
         account, exposure = program.account, program.exposure
         plan = program.plan
         tolerance = None if plan.is_draft else program.simulator.tolerance
+        verdict = None if tolerance is None else account.verdict(tolerance)
         facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft,
-                 "verdict": None if tolerance is None else account.verdict(tolerance).met,
+                 "verdict": verdict and verdict.state, "unknown": verdict.unknown if verdict else account.unknown,
                  "exposure": exposure.exposure_time, "gain": exposure.gain}
         if state.other is None:
             self._other = None  # and what it has on the device

@@ -8,6 +8,7 @@ from time import monotonic
 from typing import Any
 
 from gpusim.data.cameras import anchored, camera_of, camera_table
+from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
@@ -57,10 +58,11 @@ class State:
         return self.changed(anchored(*camera_table(self.camera)))
 
     def changed(self, table: dict) -> dict:
-        """A camera file's table, into which the changes are put."""
+        """A camera file's table, into which the changes are put. Raises BadData, OutOfRange for a value."""
         for name, value in self.changes.items():
             control = CONTROLS[name]
-            if control.named and (value := control.named.get(value, value)) is None:
+            control.check(value)
+            if control.named and (value := control.named[value]) is None:
                 continue
             section = table.setdefault(control.section, {})
             if control.item is not None:
@@ -92,6 +94,19 @@ class State:
         """The tolerance as a Simulator takes it."""
         return None if self.tolerance == "exact" else self.tolerance
 
+    @property
+    def is_sound(self) -> bool:
+        """Whether all fields are of their types, and of what the page can set."""
+        one, numbers, other = self.luminance, (self.seed, self.frame), self.against
+        return (isinstance(self.camera, str) and isinstance(self.changes, dict) and self.changes.keys() <= {*CONTROLS}
+                and not any(isinstance(value, list | dict | None) for value in self.changes.values())
+                and (self.light is None or isinstance(self.light, str))
+                and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
+                and self.tolerance in TOLERANCES and self.view in VIEWS and isinstance(self.is_live, bool)
+                and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
+                and (other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"}))
+                and type(self.split) in (int, float) and 0 <= self.split <= 1)
+
     def link(self) -> str:
         """All of it as text, for an address: `State.of_link` reads it."""
         return json.dumps({key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
@@ -105,11 +120,8 @@ class State:
                 raise ValueError
             found = {"camera": camera} | json.loads(text)
             state = cls(**found)
-            known = (state.tolerance in TOLERANCES and state.view in VIEWS and 0 <= state.split <= 1
-                     and all(isinstance(one.changes, dict) and one.changes.keys() <= CONTROLS.keys()
-                             and isinstance(one.camera, str) for one in (state, state.other or state))
-                     and all(isinstance(number, int) and 0 <= number < 2**32 for number in (state.seed, state.frame)))
-        except (ValueError, TypeError):
+            known = state.is_sound and (state.other or state).is_sound
+        except (ValueError, TypeError, RecursionError):  # RecursionError: of JSON, lists in lists
             known = False
         if not known:
             raise BadData("link: not one of this preview's; wanted one that its page made")

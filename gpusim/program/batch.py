@@ -8,7 +8,9 @@ import numpy as np
 from gpusim.domain.brief import shortened
 from gpusim.domain.camera import checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
+from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
+from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept, same
 from gpusim.program.memory import bytes_of_item
 from gpusim.program.outputs import OUTPUTS
@@ -26,15 +28,18 @@ class Batch:
     Scenes that the plan was not made for are looked at on the device, and judged before the next call.
     planned_for: a scene whose plan frames all of its kind that it fits, however they come together in calls; others
     are planned by themselves. Without it plans are those of scenes that came before.
+    plan: makes all frames instead, see `Program`. plans: of the items of the last call.
     """
 
-    def __init__(self, simulator, count: int, output: str = "codes", planned_for: Scene | None = None):
+    def __init__(self, simulator, count: int, output: str = "codes", planned_for: Scene | None = None,
+                 plan: Plan | None = None):
         if output not in [*OUTPUTS]:
             raise UnknownName("output", str(output), OUTPUTS)
         self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
         self._simulator, self._kept = simulator, Kept(simulator.device)
         self._items: list[Program | None] = [None] * self.count
-        self._planned_for = planned_for
+        self._planned_for, self._plan = None if plan is not None else planned_for, plan
+        self.plans: list[Plan] = []
 
     def __repr__(self):
         return shortened(f"Batch({self.count} of {self.output}, {self._simulator!r})")
@@ -49,6 +54,8 @@ class Batch:
         Raises as `Simulator.frames` does, and BadData for items of unlike shapes and for numbers of values that are not
         those of the items.
         """
+        if is_array(scenes):
+            checked_scene(scenes)  # which refuses it
         given = {"scenes": scenes, "camera": self._simulator.camera if camera is None else camera,
                  "exposure_time": exposure_time, "gain": gain, "seed": seed, "frame": frame}
         values = {name: one_each(name, value, self.count) for name, value in given.items()}
@@ -65,13 +72,14 @@ class Batch:
             raise
 
     def _frames(self, values):
-        programs, frames = [], []
+        programs, frames, plans = [], [], []
         for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
             program = self._program(item, own, by).update(scene=own, exposure_time=its_time, gain=its_gain)
             if not item:
                 self._require_memory(program.plan)
             programs.append(program)
             frames.append(program.output(self.output, seed=its_seed, frame=number))
+            plans.append(program.plan)
         if self._planned_for is not None:
             for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(zip(*values.values(), strict=True)):
                 programs[item].judge()
@@ -79,10 +87,12 @@ class Batch:
                     self._items[item] = None
                     programs[item] = Program(self._simulator.apart(by, Kept()), own, its_time, its_gain)
                     frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
+                    plans[item] = programs[item].plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
                           "frames have one shape")
+        self.plans = plans
         of = [program.kept.one(array) for program, array in zip(programs, frames, strict=True)]
         return self._kept("frames", of, lambda: self._simulator.device.stack(frames))
 
@@ -112,7 +122,7 @@ class Batch:
         tables = alike.simulator.tables if alike else Kept() if in_use else self._simulator.tables
         simulator, shared = self._simulator.apart(camera, tables), alike is not None and self._planned_for is None
         program = self._items[item] = Program(simulator, self._planned_for or scene, before=alike.before if shared else
-                                              Before(simulator.device))
+                                              Before(simulator.device), plan=self._plan)
         if self._planned_for is not None:
             program.plan  # noqa: B018  it is made, for all scenes to come
         return program

@@ -3,7 +3,6 @@
 STEPS = {  # that may read values of the device
     "facts": "small scenes from the host are looked at there",
     "probes": "now and then, ever more rarely, exact errors are computed on the host, in windows of a scene",
-    "evenness": "of a plan whose blur varies over the field, what flat frames give is divided on the host",
     "plan": "a plan for another kind of scene is made on the host, which looks at windows of the samples",
     "transfer": "tables for another plan begin with the wavelengths, a few numbers",
     "levels": "kernels for another plan, of blurs without transforms, are decomposed on the host",

@@ -139,18 +139,12 @@ class Imaging:
     def _blurred(self, plan, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""
         border = self._border(plan)
-        rates = self._blurred_alike(plan, planes, border)
-        if plan.varying is None:
-            return rates
-        return falloff(self._with_field(plan, planes, rates, border), self._evenness(plan, planes.shape),
-                       device=self.device)
-
-    def _blurred_alike(self, plan, planes, border):
-        """The same, where the blur varies over the field as on its axis."""
         if plan.depth is not None:
-            return self._by_depth(plan, planes, border)
-        # spare samples around the scene's own: the crop of the blur begins outside of them
-        return self._alike(plan, planes, None, border, plan.scene.margin - plan.spare)
+            rates = self._by_depth(plan, planes, border)
+        else:
+            # spare samples around the scene's own: the crop of the blur begins outside of them
+            rates = self._alike(plan, planes, None, border, plan.scene.margin - plan.spare)
+        return rates if plan.varying is None else self._with_field(plan, planes, rates, border)
 
     def _alike(self, plan, planes, cfa, border, margin):
         """The mosaic, or the channels (cfa None), where the blur is the same all over the frame."""
@@ -208,27 +202,6 @@ class Imaging:
             transfer(self.device, varying.kernels, varying.edges)))
         return field(planes, mix=plan.mix, border=border, margin=plan.scene.margin - plan.spare, base=rates,
                      tables=tables, device=self.device, **inputs)
-
-    def _evenness(self, plan, shape):
-        """What keeps flat frames flat, of every channel and pixel: (C, rows, cols).
-
-        Pixels gather from places whose kernels differ; this is the rate of a flat field, as white as the content's
-        entries can be mixed, over what they gather of that. shape: of the planes.
-        """
-        def gains():
-            entries = plan.content.entry_spectra
-            levels = np.linalg.lstsq(entries.T, np.ones(entries.shape[1]), rcond=1e-6)[0]
-            if plan.table is not None:
-                levels = plan.table @ levels
-            flat = self.device.array(np.broadcast_to(levels[:, None, None], shape).astype(np.float32))
-            alike = self._blurred_alike(plan, flat, "edge")
-            alike = np.array(self.device.numpy(alike), np.float64)  # the field is added to it
-            found = self._with_field(plan, flat, self._blurred_alike(plan, flat, "edge"), "edge")
-            found = np.array(self.device.numpy(found), np.float64)
-            return self.device.array(np.divide(alike, found, where=found > 0, out=np.ones_like(found)))
-
-        assert plan.varying is not None
-        return self._kept("evenness", (plan.varying.kernels, *plan.varying.edges, plan.table, plan.mix), gains)
 
     def pixels(self, plan: Plan, rates):
         """Channels at the pixels from channels at the scene's samples."""

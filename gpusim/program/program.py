@@ -24,7 +24,7 @@ from gpusim.planner.shading import phase_gains, relative_response, shading_gains
 from gpusim.program.kept import Kept, One, same
 from gpusim.program.metering import chosen, light_of, metered, metered_by
 from gpusim.program.outputs import OUTPUTS, output_of
-from gpusim.program.planning import drafted_by, planned_by, probed_by
+from gpusim.program.planning import check_given, drafted_by, judged_by, planned_by, probed_by, require_memory
 from gpusim.program.probing import Probing
 from gpusim.program.reading import WHOLE, Reading, looked_at_there
 from gpusim.program.shots import Shots
@@ -90,10 +90,12 @@ class Program:
     meters_late: expose by what was metered in the frame before, as a camera's video does; then nothing waits for the
     device. before: of other programs of one simulator's tolerance that are used in turn with this one, for outputs and
     not for frames; their cameras are planned alike. kept: what its own steps gave.
+    plan: makes every frame, in place of one for the scene; it is never made anew, and what it errs in each scene is
+    predicted for that scene when it is asked for. Raises BadData for a plan of another kind of scene or camera.
     """
 
     def __init__(self, simulator, scene: Scene, exposure_time: float | None = None, gain: float = 1.0,
-                 meters_late: bool = False, before: Before | None = None):
+                 meters_late: bool = False, before: Before | None = None, plan: Plan | None = None):
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = Before(simulator.device) if before is None else before
@@ -104,6 +106,10 @@ class Program:
         self._drift: float | None = None  # of the plan, in the last scene that was judged
         self._last: _Result | None = None
         self._drafts = False
+        self._given = plan
+        if plan is not None:
+            check_given(plan, simulator.camera, scene)
+            require_memory(plan, simulator.device)
 
     def __repr__(self):
         return shortened(f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})")
@@ -118,6 +124,8 @@ class Program:
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
+        if self._given is not None:
+            check_given(self._given, simulator.camera, scene)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
         self.scene, self._operates = scene, None
         self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
@@ -134,13 +142,18 @@ class Program:
         camera, asked = simulator.camera, simulator.tolerance
         plan, by = before.plan or (None, None)
         seconds, probing = self._exposure_time, before.probing
+        if self._given is not None:
+            if simulator.strict:
+                self._judged()
+            before.plan = self._given, camera
+            return self._given
         if (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (by is camera or same(planned_by(by, asked), planned_by(camera, asked)))
         if plan is None or is_other or not (plan.scene is scene or plan.serves(scene)) or not plan.lasts(seconds):
             if is_other:
                 probing.forget()
-            facts = before.kept("facts", One(scene), self._facts)
+            facts = self._facts()
             least, words = probing.least(scene), probing.words
             plan = before.kept("plan", (One(facts), One(simulator), seconds, least, words), lambda: dataclasses.replace(
                 simulator.plan(scene, facts, seconds, least), probed=words))
@@ -164,6 +177,8 @@ class Program:
         It is dropped where it does not.
         """
         self.judge()
+        if self._given is not None:
+            return True
         simulator, scene, probing = self.simulator, self.scene, self.before.probing
         if self.before.plan is None or not probing.is_due(plan := self.plan, scene):
             return self.before.plan is not None
@@ -179,7 +194,11 @@ class Program:
         return does
 
     def _facts(self):
-        """Facts of the scene: of what is looked at on the device the host reads a few numbers alone."""
+        """Facts of the scene."""
+        return self.before.kept("facts", One(self.scene), self._read_facts)
+
+    def _read_facts(self):
+        """The same anew: of what is looked at on the device the host reads a few numbers alone."""
         device, scene, content = self.simulator.device, self.scene, self.scene.content
         if not looked_at_there(device, scene):
             whole = Reading(device, content).whole()
@@ -330,7 +349,7 @@ class Program:
         self.before.looked = looked
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
         light = kept("light", (kept.one(mean), automatic), lambda: light_of(simulator, mean))
-        if plan.watch is not None and plan.scene is not self.scene:
+        if plan.watch is not None and plan.scene is not self.scene and self._given is None:
             first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
             found = device.fetch(self.before.kept("survey", (made.samples, One(plan)), lambda: survey(
                 entries, table, first, ids, device=device)))
@@ -350,7 +369,7 @@ class Program:
             raise BadData(f"{look.scene.name}: {light[4]:.0f} of {prod(look.shape)} pixels have NaN or infinite light")
         if self.meters_late and light[0] > 0:
             self._metered = chosen(self.simulator, light, look.shape, look.seconds)
-        if look.plan.scene is not look.scene:
+        if look.plan.scene is not look.scene and self._given is None:
             self._seen(look, light)
 
     def _seen(self, look, light):
@@ -405,7 +424,20 @@ class Program:
 
     def _told(self, plan):
         """A plan with what it is predicted to err in the scene."""
+        if self._given is not None:
+            return self._judged()
         return plan if plan.scene is self.scene else self.before.probing.told(plan, self.scene, self._drift)
+
+    @property
+    def scene_plan(self) -> Plan:
+        """The exposure's plan, with the errors that are predicted for its scene."""
+        return self._told(self._exposed().plan)
+
+    def _judged(self):
+        """The plan that was given, with the errors that are predicted for the scene."""
+        simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
+        return self.before.kept("given", (One(scene), One(simulator), seconds), lambda: judged_by(
+            simulator, self._given, scene, self._facts(), seconds))
 
 
 def chip_mean(simulator, mean, seconds, kept):

@@ -171,6 +171,8 @@ class Shots:
         if plan.planned_for:
             notes.append(f"by the plan of {plan.planned_for}, a scene of the same kind: predicted errors but that "
                          f"of the {'planes' if plan.mix is not None else 'blur left out'} are of that")
+        if plan.given_of:
+            notes.append(f"by a plan that was given, of {plan.given_of}: all predicted errors are those of this scene")
         if plan.probed:
             notes.append(f"probes: {plan.probed}")
         if error is not None and plan.varying is not None and len(blocks(scene.shape)) > 1:
@@ -185,7 +187,7 @@ class Shots:
              "analog_gain": camera.sensor.analog_gain, "iso": self._speed,
              "exposure_value": float(exposure_value(camera.optics.f_number, exposure.exposure_time))},
             {"name": simulator.device.name, "kind": simulator.device.kind}, number, seed, stages, account,
-            plan.beside, plan.left_out, error, simulator.tolerance, notes, verdict, wall)
+            plan.beside, plan.left_out, error, simulator.tolerance, notes, verdict, wall, plan.name)
 
 
 class _Shot:

@@ -1,38 +1,56 @@
 """Frames of one scene after the other: the next scene goes to the device while this one is computed."""
 
 from collections.abc import Generator, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, UnknownName, checked_count
-from gpusim.domain.foreign import CPU, dlpack_kind, to_host
+from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
+from gpusim.planner.plan import Plan
 from gpusim.program.outputs import OUTPUTS
 
 SLOTS = 2  # one is computed from while the other is written
 
 
-def stream(simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
-           exposure_time: float | None = None, gain: float = 1.0, meters_late: bool = True) -> Iterator:
-    """One frame of every scene: see `Simulator.stream`."""
-    if output not in [*OUTPUTS]:
-        raise UnknownName("output", str(output), OUTPUTS)
-    checked_count("first", first, 0)
-    if not isinstance(scenes, Iterable):
-        raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
-    arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
-    try:
-        for number, scene in enumerate(arriving, first):
-            if program is None:
-                program = simulator.program(scene, exposure_time, gain, meters_late)
-            else:
-                program.update(scene=scene)
-            yield program.output(output, seed=seed, frame=number)
-        if program is not None:
-            program.judge()
-    finally:
-        arriving.close()
+class Stream(Iterator):
+    """One frame of every scene: see `Simulator.stream`. settings: of its `Program`.
+
+    plan: by which the last frame was made; before the first, the one that was given, or None.
+    """
+
+    def __init__(self, simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
+                 plan: Plan | None = None, **settings):
+        if output not in [*OUTPUTS]:
+            raise UnknownName("output", str(output), OUTPUTS)
+        checked_count("first", first, 0)
+        if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
+            raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
+        self.plan, self._settings = plan, settings | {"plan": plan}
+        self._frames = self._made(simulator, scenes, output, seed, first)
+
+    def __next__(self) -> Any:
+        return next(self._frames)
+
+    def close(self) -> None:
+        """End it; what is on its way to the device arrives before."""
+        self._frames.close()
+
+    def _made(self, simulator, scenes, output, seed, first):
+        arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
+        try:
+            for number, scene in enumerate(arriving, first):
+                program = (simulator.program(scene, **self._settings) if program is None else
+                           program.update(scene=scene))
+                frame = program.output(output, seed=seed, frame=number)
+                self.plan = program.plan
+                yield frame
+            if program is not None:
+                program.judge()
+        finally:
+            arriving.close()
 
 
 def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:

@@ -14,10 +14,12 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.lens import spread_radius, wavelength_nodes
 from gpusim.optics.psf import psf_tables
+from gpusim.optics.tables import pupil as folded_pupil
 from gpusim.optics.tables import transfer_tables
 from gpusim.planner.plan import Plan
 from gpusim.program.kept import Kept
 
+EVEN = 1e-7  # of a flat field's light, below float32's own error
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
@@ -119,15 +121,30 @@ class LensTables:
         assert plan.depth is not None
         distance = plan.depth.distances[kernel]
         white = plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300)
+        flat = np.broadcast_to(plan.flat, plan.q.shape)
 
         def made():
-            bands = self.all_bands(plan, distance)
-            cover = integrate(bands, self.device.array(white), device=self.device)
+            bands, own = self.all_bands(plan, distance), self._flat(plan, distance)
+            if np.abs(own / flat - 1).max() > EVEN:  # flat fields are as bright at every distance
+                bands = integrate(bands, self.device.array(np.diag(flat / own)), device=self.device)
+            cover = integrate(bands, self.device.array(white / flat), device=self.device)
             return self.combined(plan, bands), self.device.reshape(cover, (len(white), 1, *bands.shape[1:]))
 
         if plan.transfers is None:
             return made()
-        return self._kept(f"transfer at {kernel}", (distance, white, *self._key(plan)), made)
+        return self._kept(f"transfer at {kernel}", (distance, white, plan.flat, *self._key(plan)), made)
+
+    def _flat(self, plan: Plan, distance: float) -> np.ndarray:
+        """Return what a flat field of 1 at `distance` gives if every sample is a point of light of 1, shape (L,)."""
+        pitch, aperture = self.grid(plan.scene.samples_per_pixel)
+        if min(aperture) == 1:
+            return np.ones(len(plan.q))
+        optics, displacement = self.camera.optics, self.camera.sensor.displacement
+        waves = optics.waves(plan.q * pitch / optics.working_f_number * 1e9, distance=distance)
+        tables = folded_pupil(optics.pupil, waves, plan.q, aperture, 1, 1,
+                              tuple(length / pitch for length in optics.birefringence), optics.diffuser / pitch,
+                              displacement)
+        return tables[:, 0, 0]
 
     def deviation(self, plan: Plan) -> float:
         """Standard deviation [pixel] of the Gaussian that is as the lens is on its axis at 1/4 cycle per pixel."""

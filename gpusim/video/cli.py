@@ -2,12 +2,14 @@
 
 import argparse
 import time
+from collections import Counter
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
-from gpusim.options import add_asked, operated, whole
+from gpusim.options import add_asked, describe_verdicts, operated, whole
 from gpusim.video.asked import MOST_FRAMES, add_moving, moving
 from gpusim.video.ramps import Ramps
 from gpusim.video.segments import LENGTH, Shard, segments_of
@@ -95,7 +97,7 @@ def video(arguments) -> int:
     from gpusim.data.cameras import open_camera
     from gpusim.simulator import Simulator
     from gpusim.video.loops import NO_LOOPS, Loops
-    from gpusim.video.manifest import kept
+    from gpusim.video.manifest import Plans, kept
     from gpusim.video.video import within_period
 
     path = Path(arguments.out)
@@ -112,10 +114,10 @@ def video(arguments) -> int:
     target, manifest, made = _target(path, arguments, simulator, scenes, segments)
     loops = NO_LOOPS
     if arguments.lag:
-        loops = Loops.kept_in(manifest) or _metered(arguments, simulator, scenes)
+        loops = Loops.kept_in(manifest, arguments.lag, scenes.count) or _metered(arguments, simulator, scenes)
         made["loops"] = asdict(loops)
     with kept(manifest, made, target.words, target.is_empty):
-        return _written(target, simulator, scenes, own, arguments.seed, loops)
+        return _written(target, simulator, scenes, own, arguments.seed, loops, Plans(manifest))
 
 
 def _metered(arguments, simulator, scenes):
@@ -129,33 +131,33 @@ def _metered(arguments, simulator, scenes):
                        seed=arguments.seed, seen=bar.update)
 
 
-def _written(target, simulator, scenes, own, seed, loops):
-    """Write what is missing, and say what was done. Returns the exit status."""
+def _written(target, simulator, scenes, own, seed, loops, plans):
+    """Write what is missing, and say what was done; plans: of the manifest. Returns the exit status."""
     from tqdm import tqdm
 
     from gpusim.video.video import EncodedFile
 
-    begun, worst, count, is_met = time.perf_counter(), None, 0, True
-    total = sum(len(segment) for segment in own)
-    with tqdm(total=total, unit="frame", disable=None) as bar:
+    begun, worst, count, states = time.perf_counter(), None, 0, Counter()
+    total, ends = sum(len(segment) for segment in own), {segment[-1] for segment in own}
+    with plans, tqdm(total=total, unit="frame", disable=None) as bar:
         for one in target.write(simulator, scenes, own, seed, loops):
             count += 1
+            plans.add(one.plan, one.number, one.number in ends)
             error = one.account.total.rms
             worst = error if worst is None else max(worst, error)
             if simulator.tolerance is not None:
-                is_met = is_met and one.account.verdict(simulator.tolerance).met
+                states[one.account.verdict(simulator.tolerance).state] += 1
             bar.set_postfix_str(f"worst error {worst:.2g}", refresh=False)
             bar.update()
     seconds = time.perf_counter() - begun
     if count:
         print(f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s; worst predicted error {worst:.2g} "
-              "relative rms" + ("" if simulator.tolerance is None else
-                                f"; tolerance {'met' if is_met else 'NOT met'}"))
+              f"relative rms{describe_verdicts(states)}; {plans}")
     if count < total:
         print(f"{total - count} frames were there already")
     if isinstance(target, EncodedFile):
         print(target.told if target.finish() else f"{target.path} is made by the last of the shards")
-    return 0 if is_met else 1
+    return STATUS[worst_state(states)]
 
 
 def _target(path, arguments, simulator, scenes, segments):
@@ -164,11 +166,12 @@ def _target(path, arguments, simulator, scenes, segments):
 
     from gpusim import __version__
     from gpusim.backends.probe import made_by
+    from gpusim.domain.digest import digest
     from gpusim.io.atomic import check_output
     from gpusim.io.frames import FORMATS, check_format
     from gpusim.video.codecs import CODECS, CONTAINERS, Encoder, codec_of
     from gpusim.video.lerobot import Episode
-    from gpusim.video.manifest import digest, file_digest
+    from gpusim.video.manifest import file_digest
     from gpusim.video.video import EncodedFile, NumberedFiles, blurred_frames, frames
 
     frames_of = partial(blurred_frames if arguments.blur or arguments.flicker or arguments.pwm else frames,

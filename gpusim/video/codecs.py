@@ -73,7 +73,9 @@ def pyav():
         import av.filter
     except ImportError as error:
         raise GpusimError(f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'") from error
-    av.logging.set_level(av.logging.FATAL)
+    # FFmpeg says nothing. With a level, threads of its decoders wait for Python's lock to say what is damaged, and who
+    # has the lock waits for them as a file is closed: a deadlock
+    av.logging.set_level(None)
     return av
 
 

@@ -6,9 +6,11 @@ and 75 % of ITU-R BT.2408. A matrix or range that is not tagged is taken as play
 BT.601, and limited range.
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -31,6 +33,9 @@ PRIMARIES = {1: DISPLAYS["srgb"].primaries, 9: ((0.708, 0.292), (0.170, 0.797), 
 UNTAGGED = (0, 2)
 MATRICES = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 FULL_RANGE = 2
+LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
+GAP, MOST_LATE = Fraction(3, 2), 16  # frames between neighbours; and that may be stored after one they are shown before
+STRICT = {"err_detect": "crccheck+explode"}  # of decoders: what they find damaged is refused, not concealed
 PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # of the largest light, and of the largest code
 
 
@@ -55,17 +60,34 @@ class Film:
             context = stream.codec_context
             tags = context.color_trc, context.color_primaries, context.colorspace, context.color_range
             self._format, rows = context.pix_fmt or "", context.height
-            self.count = stream.frames or sum(packet.size > 0 for packet in container.demux(stream))
-            told = container.duration if len(container.streams) == 1 else None  # [us]; sound may be longer
-            told = int((told or 0) * (stream.average_rate or 0) / 1_000_000)
-            if self.count < told - 1:
-                raise BadFile(path, f"ends after {self.count} of its {told} frames: it is truncated")
+            self.count = stream.frames or self._counted(container, stream)
         if not self.count:
             raise BadFile(path, "has no frames")
         self._read_tags(tags, transfer, rows)
         self._at: tuple | None = None  # the number of the next frame, and the frames from it on
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
+
+    def _counted(self, container, stream):
+        """The number of frames of a file that does not say it. Raises BadFile where the last ones are missing."""
+        shown, end = [], Fraction(0)  # when the frames are, and when the last one ends [s]
+        for packet in container.demux(stream):
+            if packet.size:
+                shown.append((packet.pts or 0) * stream.time_base)
+                end = max(end, shown[-1] + (packet.duration or 0) * stream.time_base)
+        length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))  # of this stream, as Matroska has it
+        if length:
+            told = sum(Fraction(part) * unit for part, unit in zip(length.groups(), (3600, 60, 1), strict=True))
+        else:  # of the file: sound may be longer
+            told = Fraction(container.duration or 0, 1_000_000) if len(container.streams) == 1 else Fraction(0)
+        rate = stream.average_rate or Fraction(0)
+        # times are whole milliseconds there; the last frame may have no length of its own
+        if (told - end) * rate > Fraction(3, 4):
+            raise BadFile(self.path, f"ends at {float(end):.3f} of its {float(told):.3f} s: it is truncated")
+        gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
+        if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
+            raise BadFile(self.path, "one of its last frames is missing: it is truncated")
+        return len(shown)
 
     def _read_tags(self, tags, transfer, rows):
         curve, primaries, matrix, extent = tags
@@ -119,7 +141,8 @@ class Film:
 
     def _decoded(self):
         with self._av.open(str(self.path)) as container:
-            container.streams.video[0].thread_type = "AUTO"
+            context = container.streams.video[0].codec_context
+            context.thread_type, context.options = "AUTO", STRICT
             yield from container.decode(video=0)
 
     def _codes(self, frame):

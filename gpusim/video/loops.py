@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.processor import WHITE_BALANCES
+from gpusim.io.files import read_text
 from gpusim.simulator import Simulator
+from gpusim.video.manifest import LARGEST
 from gpusim.video.pipeline import ahead
 from gpusim.video.ramps import Ramps
 from gpusim.video.scenes import Scenes
@@ -84,12 +86,22 @@ class Loops:
     focus: list[float] | None = None
 
     @classmethod
-    def kept_in(cls, manifest: Path) -> "Loops | None":
-        """Those of a manifest of a video; None where there is none. What is wrong with it is found with the rest."""
+    def kept_in(cls, manifest: Path, lags: Lags, count: int) -> "Loops | None":
+        """Those of a manifest of a video of `count` frames; None if it has none, or others than `lags` has.
+
+        What is wrong with it is found with the rest.
+        """
         try:
-            return cls(**json.loads(manifest.read_text(encoding="utf-8"))["loops"])
-        except (OSError, ValueError, KeyError, TypeError):
+            found = cls(**json.loads(read_text(manifest, "a manifest of a video", LARGEST))["loops"])
+            for lag, values, axes in ((lags.exposure, found.seconds, 1), (lags.white, found.white, 2),
+                                      (lags.focus, found.focus, 1)):
+                array = np.ones((count, 1)[:axes]) if lag is values is None else np.array(values, np.float64)
+                if (lag is None) != (values is None) or array.ndim != axes or len(array) != count or not (
+                        (array > 0) & (array < np.inf)).all():
+                    return None
+        except (GpusimError, ValueError, LookupError, TypeError, OverflowError, RecursionError):
             return None
+        return found
 
     def camera(self, camera: Camera, number: int) -> Camera:
         """The camera of a frame."""

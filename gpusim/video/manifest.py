@@ -2,19 +2,25 @@
 
 import json
 import os
+import time
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
-from dataclasses import fields, is_dataclass
 from hashlib import sha256
 from pathlib import Path
-
-import numpy as np
 
 from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import read_text
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 PARTS = ".parts"  # suffix of a folder of what is not complete
+SECONDS = 1.0  # after which the names of plans are kept, or at the end of a segment
+SHOWN = 3  # names of plans, in a message
+LARGEST = 2**26  # [byte] of a manifest
 ENDS = 2**16  # [byte] of a file that tell it from another of its size
 
 
@@ -53,15 +59,81 @@ def _keep(path, made, outputs):
             except OSError:
                 pass  # a file system without links: the last one writes it
     try:
-        found = json.loads(read_text(path, "a manifest of a video", 2**26))
+        found = json.loads(read_text(path, "a manifest of a video", LARGEST))
         others = [name for name in made if found.get(name) != made[name]]
         named = [name for one in others for name in (
             [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
             if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:  # RecursionError: of JSON, lists in lists
         raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
     if others:
         raise BadFile(path, f"of one with other {', '.join(named)}; give -o another name, or remove it and {outputs}")
+
+
+class Plans:
+    """Names of the plans that made a video's frames, kept in its manifest: "plans", by name the runs [first, last].
+
+    Shards add theirs to one manifest. Used as a context manager, which writes them at its end.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self.runs: dict[str, list] = {}
+        self._written = time.monotonic()
+
+    def __enter__(self) -> "Plans":
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.write()
+
+    def add(self, name: str, number: int, is_last: bool = False):
+        """Note the plan of a frame. is_last: of its segment: then, or after SECONDS, the manifest is written."""
+        self.runs[name] = _joined([*self.runs.get(name, ()), [number, number]])
+        if is_last or time.monotonic() > self._written + SECONDS:
+            self.write()
+
+    def write(self):
+        """Put them into the manifest, if it is still there. Raises BadFile."""
+        self._written = time.monotonic()
+        with _alone(self._path.parent), suppress(FileNotFoundError, ValueError):
+            made = json.loads(self._path.read_text(encoding="utf-8"))
+            others = made.get("plans", {})
+            plans = others | {name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()}
+            if plans != others:
+                with atomic_path(self._path) as temporary:
+                    temporary.write_text(json.dumps(made | {"plans": plans}, indent=2) + "\n")
+
+    def __str__(self):
+        names = list(self.runs)
+        some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+        return f"plan{'s' if len(names) > 1 else ''} {some}"
+
+
+def _joined(runs):
+    """Runs of numbers in order, those that meet as one."""
+    found: list[list[int]] = []
+    for first, last in sorted(runs):
+        if found and first <= found[-1][1] + 1:
+            found[-1][1] = max(last, found[-1][1])
+        else:
+            found.append([first, last])
+    return found
+
+
+@contextmanager
+def _alone(folder: Path):
+    """While no other process of this system is in here for the same folder, if the system can tell."""
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def file_digest(path) -> str:
@@ -75,27 +147,3 @@ def file_digest(path) -> str:
         file.seek(max(path.stat().st_size - ENDS, 0))
         found.update(file.read(ENDS))
     return found.hexdigest()[:16]
-
-
-def digest(value) -> str:
-    """Digest of a camera, or of another value of dataclasses, arrays, tuples and numbers."""
-    found = sha256()
-    _add(found, value)
-    return found.hexdigest()[:16]
-
-
-def _add(found, value):
-    if is_dataclass(value):
-        found.update(type(value).__name__.encode())
-        for field in fields(value):
-            found.update(field.name.encode())
-            _add(found, getattr(value, field.name))
-    elif isinstance(value, np.ndarray):
-        found.update(repr((value.dtype.str, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, list | tuple | dict):
-        items = list(value.items() if isinstance(value, dict) else value)
-        found.update(f"{type(value).__name__} {len(items)}".encode())
-        for item in items:
-            _add(found, item)
-    else:
-        found.update(repr(value).encode())

@@ -34,7 +34,7 @@ READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
 class Made:
     """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors.
 
-    exposure_time: [s]. gain: analog, beside the sensor's.
+    exposure_time: [s]. gain: analog, beside the sensor's. plan: name of the plan that made it.
     """
 
     number: int
@@ -42,6 +42,7 @@ class Made:
     account: Account
     exposure_time: float
     gain: float
+    plan: str = ""
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
@@ -106,7 +107,8 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
             simulator = still if camera is still.camera else still.update(camera)
             exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
                                      flicker=scenes.flicker, **loops.operation(camera, number))
-            told = (exposure.plan.account.at(exposure.exposure_time), exposure.exposure_time, exposure.gain)
+            told = (exposure.plan.account.at(exposure.exposure_time), exposure.exposure_time, exposure.gain,
+                    exposure.plan.name)
             if output is None:
                 yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), *told)
                 continue
@@ -119,7 +121,7 @@ def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list
 
 def _made(program, number, seed, output):
     account, exposure = program.account, program.shots.exposure
-    told = account, exposure.exposure_time, exposure.gain
+    told = account, exposure.exposure_time, exposure.gain, exposure.plan.name
     if output is None:
         return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
     values = program.output(output, seed=seed, frame=number)

@@ -6,12 +6,21 @@ what is at block b of the reference is at b + displacement in the frame.
 The pixels of one period are added to a block, which has no mosaic any more. Blocks are halved by means of 2 x 2,
 rounded to whole numbers, as long as a tile of 16 x 16 fits. From the coarsest picture on, every tile starts with twice
 what its parent found and tries all whole displacements up to FINE (the coarsest: COARSE) around it. It takes the one of
-the least sum of absolute differences, yet stays at the start unless that saves more than a sixth: of 256 differences of
-noise alone the sums scatter by 6 %, and a displacement chosen for its noise would spoil the average. At the end a
-paraboloid is fitted to the nine sums of squared differences around the best displacement; its minimum, at most half a
-period away, is the fraction. A displacement back is one forth of the other tile, so that equal tiles have equal sums on
-both sides (else the edges of the tile pull by 0.04 period). Along an axis where the sum rises by less than an eighth of
-itself per period there is nothing to go by and no fraction. Pictures go on at their edges as they end there.
+the least sum of absolute differences. At the end a paraboloid is fitted to the nine sums of squared differences around
+it; its minimum, at most half a period away, is the fraction. A displacement back is one forth of the other tile, so
+that equal tiles have equal sums on both sides (else the edges of the tile pull by 0.04 period). Pictures go on at their
+edges as they end there.
+
+A displacement that is chosen for its noise makes the frame's noise look like the reference's, or moves sharp edges, and
+both spoil the average. So each has to be significant. Of n differences inside both pictures:
+- A sum of |differences| of normal noise scatters by 0.755 / sqrt(n) of itself, and the difference of two such sums with
+  one tile in common by 0.94 / sqrt(n). To be followed further, another whole displacement than the start has to save
+  LIKELY / sqrt(n) of the start's sum, 2.1 of these. At the end it is taken only if on some level, the tile's or a
+  parent's, it saved SAVED / sqrt(n) of the sum at rest, 4.2 of these, for tens of them are tried.
+- With H = 2 sum of g^2, the bend of the sum of squares f for gradients g, and the noise s^2 = f / 2 n of a pixel, the
+  slope scatters by up to 4 s^2 H + 2 n s^4. The depth of the minimum, slope^2 / 2 H, has to be SURE times f / n
+  (1 + f / 4 H), which is 2.8 of these standard deviations.
+Along an axis where the sum rises by less than an eighth of itself per period there is nothing to go by and no fraction.
 
 Sums are whole numbers, so all devices choose the same displacement. Where a frame shows something else, a displacement
 is found all the same: `processor.average` tells whether it fits.
@@ -28,11 +37,13 @@ TILE = 16  # rows and columns of blocks
 COARSE, FINE = 4, 2  # search radius in the coarsest picture and in the others
 PAD = 2 * TILE + COARSE + 4  # blocks that planes are continued by: a window reaches 2 TILE + COARSE + 1 outside
 MOST_LEVELS = 8
+LIKELY, SAVED = 2, 4  # of a sum over the square root of the number of its differences, see above
+SURE = 8.0  # depth of a paraboloid's minimum, over what noise gives it
 
 
 @stage
 def align(device, raw, *, reference=0, period=(2, 2), levels=None):
-    """Displacement of every tile of every frame.
+    """Displacement of every tile of every frame, 0 where noise explains what is found.
 
     raw: shape (frames, rows, cols) uint16 [DN]. reference: the frame that the others are compared with. period: rows
     and columns of the mosaic, 1 to 8. levels: pictures, each half as large as the one before, None: as many as hold a
@@ -46,8 +57,8 @@ def align(device, raw, *, reference=0, period=(2, 2), levels=None):
     count, rows, cols = raw.shape
     raw = device.array(raw, np.uint16)
     lanes = 8 if device.kind == "opencl" and not device.is_gpu else 1
-    common = {"defines": {"WIDTH": lanes, "TILE": TILE, "PAD": PAD, "PERIOD_Y": int(period[0]),
-                          "PERIOD_X": int(period[1])}}
+    common = {"defines": {"WIDTH": lanes, "TILE": TILE, "PAD": PAD, "LIKELY": LIKELY, "SAVED": SAVED,
+                          "SURE": f"{SURE}f", "PERIOD_Y": int(period[0]), "PERIOD_X": int(period[1])}}
     extra = () if device.kind == "opencl" else (*map(int, period),)
     sizes, planes = [size], [device.empty((count, size[0] + 2 * PAD, size[1] + 2 * PAD), np.int32)]
     device.launch("processor.align", "blocks", planes[0].shape, raw, planes[0], count, rows, cols, *size, *extra,
@@ -61,7 +72,7 @@ def align(device, raw, *, reference=0, period=(2, 2), levels=None):
     parents, parent_tiles = planes[-1], (0, 0)  # none yet: any array stands for them
     for (h, w), plane in zip(reversed(sizes), reversed(planes), strict=True):
         tiles = -(-h // TILE), -(-w // TILE)
-        found = device.empty((count, *tiles, 2), np.int32)
+        found = device.empty((count, *tiles, 3), np.int32)
         parents = device.reshape(parents, (int(np.prod(parents.shape)),))
         device.launch("processor.align", "search", (count, *tiles), plane, parents, found, int(reference),
                       COARSE if parent_tiles == (0, 0) else FINE, *parent_tiles, h, w, *tiles, count, group=group,

@@ -1,5 +1,7 @@
 """Pyramid search of tiles by sums of absolute differences, and a paraboloid through 3 x 3 sums of squares: float64."""
 
+from math import isqrt
+
 import numpy as np
 
 from gpusim.kernels.processor.align import COARSE, FINE, TILE
@@ -25,13 +27,15 @@ def align(raw, *, reference=0, period=(2, 2), levels=None):
             h, w = planes.shape[1:]
             tiles = -(-h // TILE), -(-w // TILE)
             radius = COARSE if found is None else FINE
-            finer = np.zeros((*tiles, 2), int)
+            finer = np.zeros((*tiles, 3), int)
             for ty, tx in np.ndindex(*tiles):
-                start = (0, 0) if found is None else tuple(2 * found[
-                    min(ty // 2, len(found) - 1), min(tx // 2, len(found[0]) - 1)])
-                finer[ty, tx] = search(planes[reference], planes[i], ty, tx, start, radius)
+                *start, sure = (0, 0, 0) if found is None else found[
+                    min(ty // 2, len(found) - 1), min(tx // 2, len(found[0]) - 1)]
+                moved, now = search(planes[reference], planes[i], ty, tx, (2 * start[0], 2 * start[1]), radius)
+                finer[ty, tx] = *moved, sure or now
                 if level == 0:
-                    out[i, ty, tx] = finer[ty, tx] + fraction(planes[reference], planes[i], ty, tx, finer[ty, tx])
+                    taken = finer[ty, tx, :2] * finer[ty, tx, 2]
+                    out[i, ty, tx] = taken + fraction(planes[reference], planes[i], ty, tx, taken)
             found = finer
     return out
 
@@ -44,7 +48,7 @@ def window(plane, ty, tx, dy=0, dx=0):
 
 
 def search(wanted, plane, ty, tx, start, radius):
-    """The displacement of the least sum; another than the start only if it is better by a sixth."""
+    """The displacement of the least sum that noise hardly explains, and whether it is too much better than rest."""
     start = tuple(np.clip(d, -2 * TILE - t * TILE, n + TILE - t * TILE)
                   for d, t, n in zip(start, (ty, tx), plane.shape, strict=True))
     tile = window(wanted, ty, tx)
@@ -53,13 +57,23 @@ def search(wanted, plane, ty, tx, start, radius):
         return abs(tile - window(plane, ty, tx, dy, dx)).sum()
 
     at_start = cost(*start)
-    least, best = at_start - at_start // 6, start
+    least, best = at_start, start
     for dy in range(start[0] - radius, start[0] + radius + 1):
         for dx in range(start[1] - radius, start[1] + radius + 1):
-            total = cost(dy, dx)
-            if total < least:
+            total, root = cost(dy, dx), isqrt(inside(plane, ty, tx, dy, dx))
+            if root and total < least and at_start - total > at_start // root * 2:
                 least, best = total, (dy, dx)
-    return best
+    at_rest, root = cost(0, 0), isqrt(inside(plane, ty, tx, *best))
+    return best, int(root > 0 and at_rest - least > at_rest // root * 4)
+
+
+def inside(plane, ty, tx, dy=0, dx=0):
+    """Number of a tile's differences that lie inside both pictures."""
+    sizes = []
+    for t, d, n in zip((ty, tx), (dy, dx), plane.shape, strict=True):
+        places = np.arange(t * TILE, min((t + 1) * TILE, n)) + d
+        sizes.append(int(((places >= 0) & (places < n)).sum()))
+    return sizes[0] * sizes[1]
 
 
 def fraction(wanted, plane, ty, tx, best):
@@ -72,9 +86,18 @@ def fraction(wanted, plane, ty, tx, best):
     bend_y, bend_x = (f[2] - 2 * f[1] + f[0]).sum() / 3, (f[:, 2] - 2 * f[:, 1] + f[:, 0]).sum() / 3
     twist = (f[2, 2] - f[2, 0] - f[0, 2] + f[0, 0]) / 4
     sure_y, sure_x = bend_y > 0.25 * f[1, 1], bend_x > 0.25 * f[1, 1]
+    count = max(inside(plane, ty, tx, *best), 1)
+
+    def limit(bend):
+        """Depth of a minimum that noise does not explain."""
+        return 8 * f[1, 1] / count * (1 + f[1, 1] / (4 * bend))
+
     determinant = bend_y * bend_x - twist**2
     if sure_y and sure_x and determinant > 0.25 * bend_y * bend_x:
-        move = ((twist * slope_x - bend_x * slope_y) / determinant, (twist * slope_y - bend_y * slope_x) / determinant)
+        move = np.array(((twist * slope_x - bend_x * slope_y), (twist * slope_y - bend_y * slope_x))) / determinant
+        if -(move @ (slope_y, slope_x)) / 2 < limit(min(bend_y, bend_x)):
+            move = np.zeros(2)
     else:
-        move = (-slope_y / bend_y if sure_y else 0, -slope_x / bend_x if sure_x else 0)
+        move = [-slope / bend if sure and slope**2 / (2 * bend) >= limit(bend) else 0
+                for slope, bend, sure in ((slope_y, bend_y, sure_y), (slope_x, bend_x, sure_x))]
     return np.clip(move, -0.5, 0.5)

@@ -3,7 +3,10 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.processor.align import LIKELY as HOST_LIKELY
 from gpusim.kernels.processor.align import PAD as HOST_PAD
+from gpusim.kernels.processor.align import SAVED as HOST_SAVED
+from gpusim.kernels.processor.align import SURE as HOST_SURE
 from gpusim.kernels.processor.align import TILE as HOST_TILE
 
 # GPUs want the loops over a tile unrolled; a CPU's compiler takes minutes for that, and gains nothing
@@ -11,6 +14,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 PAD = wp.constant(HOST_PAD)
 TILE = wp.constant(HOST_TILE)
+LIKELY = wp.constant(HOST_LIKELY)
+SAVED = wp.constant(HOST_SAVED)
+SURE = wp.constant(HOST_SURE)
 
 
 @wp.kernel
@@ -70,6 +76,21 @@ def square_sum(plane: wp.array3d[int], reference: int, i: int, y0: int, x0: int,
     return sum
 
 
+@wp.func
+def overlap(tile: int, d: int, n: int):
+    """Return how many of a tile's rows or columns are inside a picture of n blocks, there and displaced by d."""
+    return wp.max(wp.min(wp.min((tile + 1) * TILE, n), n - d) - wp.max(tile * TILE, -d), 0)
+
+
+@wp.func
+def whole_root(n: int):
+    """Return the whole part of the square root of up to TILE^2."""
+    root = int(0)
+    while (root + 1) * (root + 1) <= n:
+        root += 1
+    return root
+
+
 @wp.kernel
 def search(
     # in:
@@ -85,35 +106,45 @@ def search(
     i, ty, tx = wp.tid()
     y = int(0)
     x = int(0)
+    sure = int(0)
     if i != reference:
         y0 = ty * TILE + PAD
         x0 = tx * TILE + PAD
         if parent_y > 0:
-            at = 2 * ((i * parent_y + wp.min(ty / 2, parent_y - 1)) * parent_x + wp.min(tx / 2, parent_x - 1))
+            at = 3 * ((i * parent_y + wp.min(ty / 2, parent_y - 1)) * parent_x + wp.min(tx / 2, parent_x - 1))
             y = wp.clamp(2 * parents[at], -(2 + ty) * TILE, h + TILE - ty * TILE)
             x = wp.clamp(2 * parents[at + 1], -(2 + tx) * TILE, w + TILE - tx * TILE)
+            sure = parents[at + 2]
         at_start = difference_sum(plane, reference, i, y0, x0, y, x)
-        least = at_start - at_start / 6
+        least = at_start
         best_y = y
         best_x = x
         for dy in range(-radius, radius + 1):
             for dx in range(-radius, radius + 1):
                 sum = difference_sum(plane, reference, i, y0, x0, y + dy, x + dx)
-                if sum < least:
-                    least = sum
-                    best_y = y + dy
-                    best_x = x + dx
+                root = whole_root(overlap(ty, y + dy, h) * overlap(tx, x + dx, w))
+                if sum < least and root > 0:
+                    if at_start - sum > at_start / root * LIKELY:
+                        least = sum
+                        best_y = y + dy
+                        best_x = x + dx
         y = best_y
         x = best_x
+        last = whole_root(overlap(ty, y, h) * overlap(tx, x, w))
+        at_rest = difference_sum(plane, reference, i, y0, x0, 0, 0)
+        if last > 0:
+            if at_rest - least > at_rest / last * SAVED:
+                sure = 1
     out[i, ty, tx, 0] = y
     out[i, ty, tx, 1] = x
+    out[i, ty, tx, 2] = sure
 
 
 @wp.kernel
 def fraction(
     # in:
     plane: wp.array3d[int],
-    whole: wp.array4d[int],
+    found: wp.array4d[int],
     # out:
     out: wp.array4d[float],
     # params:
@@ -127,8 +158,8 @@ def fraction(
     if i != reference:
         y0 = ty * TILE + PAD
         x0 = tx * TILE + PAD
-        at_y = whole[i, ty, tx, 0]
-        at_x = whole[i, ty, tx, 1]
+        at_y = found[i, ty, tx, 0] * found[i, ty, tx, 2]
+        at_x = found[i, ty, tx, 1] * found[i, ty, tx, 2]
         f = wp.mat33()
         for dy in range(3):
             for dx in range(3):
@@ -143,15 +174,21 @@ def fraction(
         twist = (f[2, 2] - f[2, 0] - (f[0, 2] - f[0, 0])) / 4.0
         sure_y = bend_y > 0.25 * f[1, 1]
         sure_x = bend_x > 0.25 * f[1, 1]
+        noise = SURE * f[1, 1] / float(wp.max(overlap(ty, at_y, h) * overlap(tx, at_x, w), 1))
         determinant = bend_y * bend_x - twist * twist
         if sure_y and sure_x and determinant > 0.25 * (bend_y * bend_x):
             y = (twist * slope_x - bend_x * slope_y) / determinant
             x = (twist * slope_y - bend_y * slope_x) / determinant
+            if -0.5 * (y * slope_y + x * slope_x) < noise * (1.0 + f[1, 1] / (4.0 * wp.min(bend_y, bend_x))):
+                y = 0.0
+                x = 0.0
         else:
             if sure_y:
-                y = -slope_y / bend_y
+                if slope_y * slope_y / (2.0 * bend_y) >= noise * (1.0 + f[1, 1] / (4.0 * bend_y)):
+                    y = -slope_y / bend_y
             if sure_x:
-                x = -slope_x / bend_x
+                if slope_x * slope_x / (2.0 * bend_x) >= noise * (1.0 + f[1, 1] / (4.0 * bend_x)):
+                    x = -slope_x / bend_x
         y = float(at_y) + wp.clamp(y, -0.5, 0.5)
         x = float(at_x) + wp.clamp(x, -0.5, 0.5)
     out[i, ty, tx, 0] = y

@@ -1,6 +1,6 @@
 // Three passes: move and compare, weigh, add. A GPU's work-item does a block, a block, a pixel; a CPU's a row, in runs
 // of a tile's width: all of a tile have one displacement, so that neighbours are read in vectors.
-// From the host: FRAMES, TILE, PERIOD_Y, PERIOD_X, CPU (0 or 1), WIDTH, LOW, HIGH, OUTSIDE.
+// From the host: FRAMES, TILE, PERIOD_Y, PERIOD_X, CPU (0 or 1), WIDTH, OUTSIDE.
 #pragma OPENCL FP_CONTRACT OFF
 #include "lanes.clh"
 
@@ -121,11 +121,12 @@ __kernel void move(
 }
 
 INLINE float share(__global const float *restrict up, __global const float *restrict here,
-                   __global const float *restrict down, const long left, const long x, const long right)
+                   __global const float *restrict down, const long left, const long x, const long right, const float low,
+                   const float high)
 {
     const float sum = (up[left] + up[x] + up[right]) + (here[left] + here[x] + here[right])
         + (down[left] + down[x] + down[right]);
-    const float trusted = (HIGH - sum / 9.0f) / (HIGH - LOW);
+    const float trusted = (high - sum / 9.0f) / (high - low);
     return trusted > 1.0f ? 1.0f : trusted < 0.0f ? 0.0f : trusted;
 }
 
@@ -135,7 +136,7 @@ __kernel void weigh(
     // out:
     __global float *restrict weights,       // [FRAMES][h][w]
     // params:
-    const int reference,
+    const int reference, const float low, const float high,
     // sizes:
     const int frames, const int h, const int w)
 {
@@ -149,11 +150,11 @@ __kernel void weigh(
         for (long u = 0; u < w; ++u) to[u] = 1.0f;
         return;
     }
-    to[0] = share(up, here, down, 0, 0, min(1, w - 1));
-    for (long u = 1; u < w - 1; ++u) to[u] = share(up, here, down, u - 1, u, u + 1);
-    to[w - 1] = share(up, here, down, max(w - 2, 0), w - 1, w - 1);
+    to[0] = share(up, here, down, 0, 0, min(1, w - 1), low, high);
+    for (long u = 1; u < w - 1; ++u) to[u] = share(up, here, down, u - 1, u, u + 1, low, high);
+    to[w - 1] = share(up, here, down, max(w - 2, 0), w - 1, w - 1, low, high);
 #else
-    to[x] = i == reference ? 1.0f : share(up, here, down, max(x - 1, 0), x, min(x + 1, w - 1));
+    to[x] = i == reference ? 1.0f : share(up, here, down, max(x - 1, 0), x, min(x + 1, w - 1), low, high);
 #endif
 }
 

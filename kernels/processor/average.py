@@ -10,9 +10,9 @@ block's pixels and then over 3 x 3 blocks of
 
     (f - r)^2 / ((1 + A) (gain max((f + r) / 2 - black_level, 0) + read^2)),
 
-which is 1 on average where both show the same, whatever the noise. The frame's weight at the block is 1 up to q = LOW,
-falls linearly and is 0 from HIGH on: what moved by itself, or is in view of one of them only, is left out. Where a tap
-outside the frame is needed, q of that pixel is OUTSIDE. The reference's weight is 1.
+which is 1 on average where both show the same, whatever the noise. The frame's weight at the block is 1 up to q = low,
+falls linearly and is 0 from high on, see `bounds`: what moved by itself, or is in view of one of them only, is left
+out. Where a tap outside the frame is needed, q of that pixel is OUTSIDE. The reference's weight is 1.
 """
 
 import numpy as np
@@ -21,7 +21,8 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.align import TILE, checked_stack
 from gpusim.kernels.stage import Case, stage
 
-LOW, HIGH = 1.5, 2.5  # of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
+LOW, HIGH = 1.5, 2.5  # of q; of 36 pixels of a Bayer mosaic q scatters by sqrt(2 / 36) = 0.24
+SURE = 2.1  # [standard deviations] of q at least from 1 to low, and twice that from low to high
 OUTSIDE = 1e6
 
 
@@ -50,16 +51,27 @@ def average(device, raw, displacement, *, reference=0, period=(2, 2), black_leve
     cpu = device.kind == "opencl" and not device.is_gpu  # a row per work-item
     extra = () if device.kind == "opencl" else (py, px)
     common = {"defines": {"FRAMES": count, "TILE": TILE, "PERIOD_Y": py, "PERIOD_X": px, "CPU": int(cpu),
-                          "WIDTH": 8 if cpu else 1, "LOW": f"{LOW}f", "HIGH": f"{HIGH}f", "OUTSIDE": f"{OUTSIDE}f"}}
+                          "WIDTH": 8 if cpu else 1, "OUTSIDE": f"{OUTSIDE}f"}}
     group = (1, 1, 1) if cpu else None
     device.launch("processor.average", "move", (count, h, 1 if cpu else w), raw, displacement, moved, misfit,
                   int(reference), float(black_level), gain, read * read, *tiles, count, rows, cols, h, w, *extra,
                   group=group, **common)
-    device.launch("processor.average", "weigh", (count, h, 1 if cpu else w), misfit, weights, int(reference), count, h,
-                  w, group=group, **common)
+    device.launch("processor.average", "weigh", (count, h, 1 if cpu else w), misfit, weights, int(reference),
+                  *bounds(period), count, h, w, group=group, **common)
     device.launch("processor.average", "average", (rows, 1 if cpu else cols), moved, weights, out, rows, cols, h, w,
                   *(() if device.kind == "opencl" else (count, py, px)), group=(1, 1) if cpu else None, **common)
     return out
+
+
+def bounds(period) -> tuple[float, float]:
+    """Return q up to which a frame has all its weight, and from which it has none.
+
+    Of n pixels q scatters by sqrt(2 / n): of the 9 of a monochrome sensor so much that bounds fit for Bayer's 36 would
+    leave out frames by chance, more of them the less they look like the reference, whose noise would stay.
+    """
+    scatter = float(np.sqrt(2 / (9 * period[0] * period[1])))
+    low = max(LOW, 1 + SURE * scatter)
+    return low, max(HIGH, low + 2 * SURE * scatter)
 
 
 def checked(raw, displacement, reference, period, noise):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpusim.kernels.processor.align import TILE
-from gpusim.kernels.processor.average import HIGH, LOW, OUTSIDE
+from gpusim.kernels.processor.average import OUTSIDE
 
 
 def average(raw, displacement, *, reference=0, period=(2, 2), black_level, noise):
@@ -64,5 +64,8 @@ def trust(q, period):
     padded[:rows, :cols] = q
     blocks = np.pad(np.nanmean(padded.reshape(h, py, w, px), axis=(1, 3)), 1, mode="edge")
     mean = sum(blocks[a : a + h, b : b + w] for a in range(3) for b in range(3)) / 9
-    share = np.clip((HIGH - mean) / (HIGH - LOW), 0, 1)
+    scatter = np.sqrt(2 / (9 * py * px))
+    low = max(1.5, 1 + 2.1 * scatter)
+    high = max(2.5, low + 4.2 * scatter)
+    share = np.clip((high - mean) / (high - low), 0, 1)
     return share.repeat(py, axis=0).repeat(px, axis=1)[:rows, :cols]

@@ -4,15 +4,11 @@
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
 from gpusim.kernels.processor.align import TILE as HOST_TILE
-from gpusim.kernels.processor.average import HIGH as HOST_HIGH
-from gpusim.kernels.processor.average import LOW as HOST_LOW
 from gpusim.kernels.processor.average import OUTSIDE as HOST_OUTSIDE
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TILE = wp.constant(HOST_TILE)
-LOW = wp.constant(HOST_LOW)
-HIGH = wp.constant(HOST_HIGH)
 OUTSIDE = wp.constant(HOST_OUTSIDE)
 
 
@@ -86,7 +82,7 @@ def weigh(
     # out:
     weights: wp.array3d[float],
     # params:
-    reference: int,
+    reference: int, low: float, high: float,
     # sizes:
     frames: int, h: int, w: int,
 ):
@@ -97,7 +93,7 @@ def weigh(
     for k in range(3):
         v = wp.clamp(y + k - 1, 0, h - 1)
         sum += misfit[i, v, left] + misfit[i, v, x] + misfit[i, v, right]
-    weights[i, y, x] = wp.clamp((HIGH - sum / 9.0) / (HIGH - LOW), 0.0, 1.0)
+    weights[i, y, x] = wp.clamp((high - sum / 9.0) / (high - low), 0.0, 1.0)
     if i == reference:
         weights[i, y, x] = 1.0
 

@@ -21,6 +21,7 @@ PLANES = 9  # of a strip's scratch
 # its group, rows that one of them takes.
 TILE = {"HIGH": 16, "PAIRS": 64, "GROUP": 256, "RUN": 4, "RUN_DIAGONALS": 3}
 ROOM = 128  # of planes around the picture, for whole tiles
+MOST_READ = 20.0  # [e-] of read noise that the root makes even; more is taken for shot noise
 
 
 @stage
@@ -32,7 +33,8 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
         "linear" works on the values, right for data that are encoded already.
     noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN - black_level) + read^2 [DN^2].
         (0, 0): no noise, measured samples are kept. Otherwise every value, measured ones included, is drawn towards
-        the mean of its neighbours where it differs from it by no more than noise does.
+        the mean of its neighbours where it differs from it by no more than noise does. "root": above a read noise of
+        MOST_READ electrons, or without shot noise, the gain is taken for read / MOST_READ.
     blur: standard deviation [pixel] of the lens's blur as a Gaussian: the more, the shorter the taps.
     balance: (red, blue): what these channels are multiplied by, noise included, while colours are compared, so that
         white is as strong in them as in green; what comes out is divided again.
@@ -62,7 +64,7 @@ def best(device, raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0
     offset, variance, shot = code_noise(root, gain * scale, read * scale)
     red, blue = np.sqrt(balance) if root else balance
     noise = (gain * scale, read * scale)
-    loss = root_loss(max(noise[0], noise[1] ** 2), noise[1]) if root and noisy else np.zeros(7, np.float32)
+    loss = root_loss(root_gain(*noise), noise[1]) if root and noisy else np.zeros(7, np.float32)
     mosaic = (device.array(loss), float(black_level), float(scale), float(offset), float(variance), float(shot),
               float(red), float(blue), *map(float, tap_shares(blur)), float(gain_prior(blur)), red_row, red_col)
     columns = (cols + 1) // 2
@@ -112,8 +114,17 @@ def code_noise(root, gain, read):
         return 0.0, read**2, gain
     if gain == read == 0:
         return 0.0, 0.0, 0.0
-    gain = max(gain, read**2)  # read noise alone has no root that makes it even: its offset ends at the full scale
+    gain = root_gain(gain, read)
     return 0.375 * gain + read**2 / gain, gain / 4, 0.0
+
+
+def root_gain(gain, read):
+    """Return the gain of the shot noise that the root is made for, in the unit of the two.
+
+    The root's offset is read^2 / gain. Read noise with little or no shot noise would move it beyond the full scale, and
+    the root would become a straight line: it is kept at MOST_READ times the read noise, which goes to 0 with it.
+    """
+    return max(gain, read / MOST_READ)
 
 
 def tap_shares(blur):

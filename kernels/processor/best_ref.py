@@ -1,7 +1,8 @@
 """Demosaicking by weighted colour differences, float64; the noise and the lens's blur set gains, taps and shrinkage.
 
 c = sgn(s) sqrt|s| with s = x + o (domain "root") or c = x ("linear"), x = (DN - black_level) scale. The variance of x
-is g x + r^2; that of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g (Anscombe 1948), g c + r^2 in "linear".
+is g x + r^2; that of c is v = g / 4 everywhere if o = 3 g / 8 + r^2 / g (Anscombe 1948), g c + r^2 in "linear". In
+"root" g is at least r / 20, so that o and v vanish with the noise.
 
 1. Along each axis, with b = 2 c[0] - c[-2] - c[2], B = (c[-1] + c[1] - c[-3] - c[3]) / 2 (the other colour's b), and
    sums over the two neighbours:   a = clip((<b B> + 2 P) / (<B B> + 2 P + 10 v), 0, 1)
@@ -47,7 +48,7 @@ def best(raw, *, phase, black_level, scale, domain="root", noise=(0.0, 0.0), blu
     offset, constant, slope = 0.0, read**2, gain
     if domain == "root":
         if noisy:
-            gain = max(gain, read**2)
+            gain = max(gain, read / 20)  # r^2 / g would grow beyond all light where shot noise vanishes
             offset = 0.375 * gain + read**2 / gain
         constant, slope = gain / 4, 0.0
     factors = dict(zip("RGB", (balance[0], 1.0, balance[1]), strict=True))

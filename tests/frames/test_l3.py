@@ -18,6 +18,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.learned import FilterTable
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
@@ -29,6 +30,7 @@ from gpusim.io.images import write_png
 from gpusim.io.photo import lift
 from gpusim.io.scenes import mean_luminance
 from gpusim.l3.cli import add_command, luminances
+from gpusim.l3.layout import layout
 from gpusim.l3.scenes import training_scenes
 from gpusim.l3.train import train, training_camera, wanted_colors
 from gpusim.simulator import Simulator
@@ -188,6 +190,37 @@ def test_no_step_where_clear_pixels_saturate(rgbw_table):
     alone = dataclasses.replace(rgbw_table, layout=one, filters=rgbw_table.filters[:, [middle]],
                                 offsets=rgbw_table.offsets[:, [middle]])
     assert np.abs(column_means(alone)[0] - 1).max() > 0.15
+
+
+@pytest.mark.parametrize("name", ["rgbw", "rgbw-kodak", "rgbn", "rgbe", "cygm", "rccb", "ryyb", "cyym", "x-trans",
+                                  "quad-bayer"])
+@pytest.mark.parametrize("light", ["D65", "A"])
+def test_filters_leave_white_where_interpolation_has_it(name, light):
+    """Exposure is metered on all pixels: white is at .95 of saturation in the strongest, which filters may not show."""
+    letters = tuple(dict.fromkeys("".join(mosaic(name))))
+    nodes = np.linspace(400, 700, 31)
+    bumps = {"R": (620, 40), "G": (540, 40), "B": (460, 40), "E": (500, 30), "N": (690, 60), "C": (500, 80),
+             "Y": (590, 80), "M": (550, 30), "W": (550, 150)}
+    qe = Spectrum(nodes, np.array([0.6 * np.exp(-(((nodes - bumps[letter][0]) / bumps[letter][1]) ** 2))
+                                   for letter in letters]))
+    camera = dataclasses.replace(rgbw_camera(), sensor=dataclasses.replace(
+        rgbw_camera().sensor, qe=qe, channels=letters, cfa=mosaic(name), exposure_time=None))
+    shown = tuple("RGB") if {*"RGB"} <= {*letters} else letters[:3]
+    made = layout(mosaic(name), shown)
+    table = FilterTable(made, np.zeros(made.shape, np.float32))
+    scene = chart("flat", size=(16, 16), reflectance=1.0, light=light)
+    for processor in (Processor(), Processor(demosaic="learned", table=table)):
+        exposure = Simulator(dataclasses.replace(camera, processor=processor), device="numpy").expose(scene)
+        assert exposure.rendering.diffuser == pytest.approx(1, rel=1e-5)  # float32 rates
+
+
+def test_trained_filters_show_white_as_interpolation_does(rgbw_table):
+    """At the camera's own exposure; the mean over 48 x 48 pixels of filters of a few scenes: 5 %."""
+    camera = replaced(rgbw_camera(), exposure_time=None)
+    scene = chart("flat", size=(48, 48), reflectance=1.0)
+    for processor in (Processor(), Processor(demosaic="learned", table=rgbw_table)):
+        linear = Simulator(dataclasses.replace(camera, processor=processor))(scene).linear
+        np.testing.assert_allclose(linear.mean(axis=(0, 1)), 1, atol=0.05)
 
 
 def test_better_than_interpolation_in_the_dark(rgbw_table):

@@ -447,6 +447,38 @@ def test_a_burst_goes_into_its_merge(count):
     assert (error**2).mean() == pytest.approx(1, rel=4.5 * np.sqrt(2 / error.size) + 0.04)
 
 
+@pytest.mark.parametrize("kind", ["flat", "blocks"])
+@pytest.mark.parametrize(("period", "level", "count"), [((1, 1), 250, 16), ((1, 1), 20, 2), ((2, 2), 250, 16),
+                                                        ((4, 4), 250, 4), ((6, 6), 20, 16)])
+def test_noise_moves_nothing_at_rest(kind, period, level, count):
+    """An n-th of the variance, with sharp edges and without, for any mosaic.
+
+    192^2 values tell it to sqrt(2 / 36864) = .7 %, 4 of these; frames that look different by chance cost less than 1 %.
+    """
+    random = np.random.default_rng(3)
+    light = np.full((224, 224), float(level))
+    if kind == "blocks":  # edges in all places of the period
+        light = np.kron(random.uniform(0.2, 2, (32, 32)), np.ones((7, 7))) * level
+    electrons = random.poisson(light, (count, 224, 224)) + 2.5 * random.standard_normal((count, 224, 224))
+    raw = np.rint(64 + 4 * electrons).astype(np.uint16)
+    made = average(raw, align(raw, period=period, device="opencl"), period=period, black_level=64.0,
+                   noise=(4.0, np.hypot(10, 12**-0.5)), device="opencl")
+    error = (made - 64 - 4 * light) / np.sqrt((16 * (light + 2.5**2) + 1 / 12) / count)
+    assert (error[16:-16, 16:-16] ** 2).mean() == pytest.approx(1, abs=0.04)
+
+
+@pytest.mark.parametrize("level", [20, 250])
+def test_faint_tiles_follow_their_surroundings(level):
+    """A shaken frame of texture as strong as a few deviations of noise: every tile inside is found to half a period."""
+    random = np.random.default_rng(5)
+    wide = np.kron(random.uniform(0.3, 1.7, (36, 36)), np.ones((8, 8))) * level
+    shifts = [(0, 0), (6, -10), (-8, 4), (12, 12)]
+    light = np.array([wide[16 + y : 272 + y, 16 + x : 272 + x] for y, x in shifts])
+    raw = np.rint(64 + 4 * (random.poisson(light) + 2.5 * random.standard_normal(light.shape))).astype(np.uint16)
+    found = align(raw, device="opencl")[1:, 1:-1, 1:-1]
+    assert np.abs(found + np.array(shifts[1:])[:, None, None] / 2).max() < 0.5
+
+
 def test_burst_collects_what_its_exposures_add_up_to():
     _, frames = burst("still", 0.02)
     frame = merge_burst(simulator(), frames)

@@ -376,6 +376,24 @@ def test_automatic_exposure_brings_its_measure_to_the_level(method, level, measu
     assert frame.report.camera["exposure_time_s"] == frame.exposure_time
 
 
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize(("glints", "times"), [(1, 20), (1, 3), (2, 90)])
+def test_glints_leave_the_pictures_exposure(glints, times, device):
+    """In 10,000 pixels, 3 to 90 times as bright as white: at most 1.5 times the light of the rest (PLAIN) is counted.
+
+    The phone's lens spreads each over few enough pixels. No more than the thousandth that may, and noise, clips.
+    """
+    plain = chart("deadleaves", size=(100, 100))
+    bands = np.array(plain.content.bands_at(slice(None)), np.float32)
+    bands[:, 50, 20 : 20 + 40 * glints : 40] = times
+    glinting = dataclasses.replace(plain, content=Cube(plain.wavelengths, bands))
+    simulate = Simulator(gs.open_camera("phone"), device=device)
+    without, frame = simulate(plain), simulate(glinting)
+    assert without.exposure_time / 1.5 < frame.exposure_time < 1.1 * without.exposure_time
+    assert (frame.raw >= frame.camera.sensor.white_level).mean() <= 0.0015
+    assert frame.rgb.mean() > 0.9 * without.rgb.mean()
+
+
 def test_binned_pixels_are_exposed_for_their_own_well():
     frame = simulator(binning=(2, 2), exposure_time=None)(chart("flat", size=(32, 32)))
     assert frame.mean.max() == pytest.approx(0.95 * 40000, rel=4 * ULP)

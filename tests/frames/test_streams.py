@@ -140,7 +140,8 @@ def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     own = program.frame().report
     report = program.update(scene=second).frame().report
     metered = gs.Simulator(CAMERA, device=device)(first).report
-    assert {stage.model for stage in metered.stages if stage.stage == "sensor.meter"} == {"automatic exposure, full"}
+    assert {stage.model for stage in metered.stages if stage.stage == "sensor.meter"} == {
+        "automatic exposure, highlights"}
     assert (own.scene["name"], report.scene["name"]) == ("leaves 0", "leaves 1")
     assert not any("leaves 0" in note for note in own.notes)
     assert any("by the plan of leaves 0" in note for note in report.notes)

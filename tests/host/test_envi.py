@@ -276,7 +276,7 @@ def test_more_data_than_the_header_says(tmp_path):
     ({"wavelength": "{400, 500, nan, 700}"}, "finite"), ({"wavelength": "{a, b, c, d}"}, "numbers in braces"),
     ({"wavelength": "{400, 500, 500, 700}"}, "all different"), ({"wavelength": "{400, 500"}, "has no end"),
     ({"wavelength_units": "Wavenumber"}, "wavelength units"), ({"wavelength_units": "um"}, "cannot be right"),
-    ({"bbl": "{0, 0, 0, 1}"}, "1 bands"), ({"bbl": "{1}"}, "wanted 4"), ({"Lines": 7}, "says 'lines' twice"),
+    ({"bbl": "{0, 0, 0, 0}"}, "0 bands"), ({"bbl": "{1}"}, "wanted 4"), ({"Lines": 7}, "says 'lines' twice"),
     ({"reflectance_scale_factor": 0}, "stands for 1"), ({"reflectance_scale_factor": "x"}, "wanted a number"),
     ({"data_ignore_value": "x"}, "wanted a number"), ({"file_type": "ENVI Spectral Library"}, "library of 4 bands"),
     ({"lines": 10**14, "samples": 10**14}, "truncated")])

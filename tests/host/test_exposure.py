@@ -13,6 +13,7 @@ from gpusim.domain.exposure import (
     checked_time,
     exposure_time,
     exposure_value,
+    without_highlights,
 )
 
 # ISETCam 3b10ec1 (MIT licence), run in GNU Octave in float64: exposureValue over 7 f-numbers x 6 times; autoExposure
@@ -84,6 +85,35 @@ def test_percentile_leaves_lamps_out():
     rate[0, :5] = 1e6  # 0.5 % of the pixels
     time, gain = AutoExposure("percentile", 0.5, 99.0).choose(rate, 6000)
     assert (time, gain) == (pytest.approx(0.5 * 6000 / 200, rel=RTOL), 1.0)
+
+
+@pytest.mark.parametrize(("times", "counted"), [(1.0, 1.0), (1.4, 1.4), (2.0, 1.125), (2.25, 1.0), (20.0, 1.0),
+                                                (100.0, 1.0), (1000.0, 100.0), (1e4, 1e4), (1e9, 1e9)])
+def test_glints_do_not_darken_the_picture(times, counted):
+    """Of 10,000 pixels of light 1 one is `times` as bright: a part of the picture, a glint or a star.
+
+    1.5^2 / 2 = 1.125; (1000 / 100)^2 = 100.
+    """
+    rate = np.ones((100, 100))
+    rate[3, 4] = times
+    assert AutoExposure().choose(rate, 6000)[0] == pytest.approx(0.95 * 6000 / counted, rel=RTOL)
+    ratios = np.geomspace(0.1, 1e6, 10_000)  # no jump: steps of .16 %, of the square .32 %
+    assert abs(np.diff(np.log([without_highlights(1.0, ratio) for ratio in ratios]))).max() < 0.0033
+
+
+@pytest.mark.parametrize("method", ["mean", "centre"])
+def test_averages_put_white_where_bright_pixels_are(method):
+    """A grey of 18 % is the average; white has 1 / .18 of it, 95 % of saturation as by the brightest pixel."""
+    rate = np.full((8, 8), 18.0)
+    assert 100 * AutoExposure(method).choose(rate, 6000)[0] == pytest.approx(0.95 * 6000, rel=RTOL)
+    assert AutoExposure(method).white == pytest.approx(0.95, rel=RTOL)
+    assert AutoExposure(method, 0.3).choose(rate, 6000)[0] == pytest.approx(0.3 * 6000 / 18, rel=RTOL)
+
+
+def test_a_scene_without_light_but_for_a_star_is_exposed_for_it():
+    rate = np.zeros((100, 100))
+    rate[3, 4] = 5.0
+    assert AutoExposure().choose(rate, 6000)[0] == pytest.approx(0.95 * 6000 / 5, rel=RTOL)
 
 
 def test_centre_counts_more_than_the_corners():

@@ -1,6 +1,7 @@
 """What is shipped is what is in the tree, and imports point one way."""
 
 import ast
+import os
 import subprocess
 import sys
 import tomllib
@@ -40,8 +41,12 @@ ALLOWED = {
                         "gpusim.frame", "gpusim.program", "gpusim.report", "gpusim.simulator"},
     "gpusim.hard": {"gpusim.domain", "gpusim.data", "gpusim.optics", "gpusim.backends", "gpusim.kernels",
                     "gpusim.planner", "gpusim.readout", "gpusim.report", "gpusim.simulator"},
-    "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.report", "gpusim.truth_field"},
-    "gpusim.truth_field": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
+    "gpusim.truth": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.report", "gpusim.truth_blur",
+                     "gpusim.truth_field", "gpusim.truth_light"},
+    "gpusim.truth_blur": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.truth_light"},
+    "gpusim.truth_field": {"gpusim.domain", "gpusim.optics", "gpusim.planner", "gpusim.truth_blur",
+                           "gpusim.truth_light"},
+    "gpusim.truth_light": {"gpusim.domain", "gpusim.optics", "gpusim.planner"},
     "gpusim.work": {"gpusim.kernels", "gpusim.optics", "gpusim.planner"},
     "gpusim.speeds": {"gpusim.backends", "gpusim.developer", "gpusim.kernels", "gpusim.work"},
     "gpusim.forecast": {"gpusim.domain", "gpusim.planner", "gpusim.simulator", "gpusim.speeds"},
@@ -60,10 +65,12 @@ ALLOWED = {
     "gpusim.look": {"gpusim.data", "gpusim.domain", "gpusim.forecast", "gpusim.io", "gpusim.options", "gpusim.plot",
                     "gpusim.simulator"},
     "gpusim.options": {"gpusim.domain", "gpusim.io", "gpusim.planner"},
-    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.program", "gpusim.simulator"},
+    "gpusim.batches": {"gpusim.domain", "gpusim.data", "gpusim.io", "gpusim.planner", "gpusim.program",
+                       "gpusim.simulator"},
     "gpusim.ray": {"gpusim.batches", "gpusim.domain"},
     "gpusim.replicator": {"gpusim.batches", "gpusim.domain"},
-    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.simulator"},
+    "gpusim.torch": {"gpusim.batches", "gpusim.domain", "gpusim.io", "gpusim.pairs", "gpusim.planner",
+                     "gpusim.simulator"},
 }
 # from above to below: none may reach one before it, by whatever way
 CHAIN = ("gpusim.captures", "gpusim.simulator", "gpusim.program", "gpusim.planner", "gpusim.optics", "gpusim.domain")
@@ -150,3 +157,40 @@ def test_public_names_exist():
 
     for name in gpusim.__all__:
         assert getattr(gpusim, name) is not None
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_mistake(closed):
+    """What is wrong with the arguments is status 2 whatever is closed; with standard error it is said there."""
+    command = f"{sys.executable} -m gpusim bench --help {closed}; echo status $? >&9"
+    done = subprocess.run(["bash", "-c", f"exec 9>&1; {command}"], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "status 0" and "Traceback" not in done.stderr, done
+
+
+def test_a_checkout_has_its_kernels_without_an_editable_install():
+    """As after `pip install .`: Python in the checkout imports ./gpusim, whose kernels lie beside it."""
+    code = ("import sys; sys.meta_path = [one for one in sys.meta_path if 'editable' not in repr(one)]; "
+            "import gpusim.kernels.stage as one; print(one.__file__)")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert Path(done.stdout.strip()) == ROOT / "kernels" / "stage.py", done.stderr
+
+
+def test_devices_are_listed_in_a_checkout_without_an_editable_install(tmp_path):
+    """`python -m gpusim devices` in the checkout, and the processes in which it tries devices, find this package."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nclass Removed(list):\n    def append(self, one):\n"
+        "        if 'editable' not in repr(one):\n            super().append(one)\n"
+        "sys.meta_path = Removed(one for one in sys.meta_path if 'editable' not in repr(one))\n")
+    done = subprocess.run([sys.executable, "-m", "gpusim", "devices"], cwd=ROOT, capture_output=True,
+                          text=True, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert done.returncode == 0 and done.stdout.startswith("numpy"), done
+    assert "Traceback" not in done.stderr and "No module named 'gpusim" not in done.stdout + done.stderr, done
+
+
+def test_an_installed_package_has_the_kernels_own_init():
+    """A wheel takes gpusim.kernels from kernels/, and not the file that finds them in a checkout."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert settings["package-dir"] == {"gpusim.kernels": "kernels"}
+    assert "__path__" in (ROOT / "gpusim" / "kernels" / "__init__.py").read_text()
+    assert "__path__" not in (ROOT / "kernels" / "__init__.py").read_text()
+    assert [path.name for path in (ROOT / "gpusim" / "kernels").glob("*.*")] == ["__init__.py"]

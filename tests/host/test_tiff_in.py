@@ -155,7 +155,7 @@ def test_refusals(tmp_path):
         open_scene(path)
     with refused(path, "3 planes, but 2 wavelengths", error=BadFile):
         open_scene(path, wavelengths=[400, 500])
-    for waves in ([400], [500, 400, 600], [400, 400, 500], [0, 1, 2], [1, 2, np.nan], "red", [[1, 2]], [1, 2, np.inf]):
+    for waves in ([], [500, 400, 600], [400, 400, 500], [0, 1, 2], [1, 2, np.nan], "red", [[1, 2]], [1, 2, np.inf]):
         with refused("wavelengths", "ascending", error=OutOfRange):
             open_scene(path, wavelengths=waves)
     with refused("'light'", "radiance", error=UnknownName):

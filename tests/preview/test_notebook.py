@@ -35,7 +35,8 @@ class Fake:
     def picture(self, state, number, drafts=False):
         time.sleep(0.02)
         self.made.append(state)
-        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": True, "left out": ()}
+        facts = {"draft": False, "exposure": 0.01, "gain": 1.0, "error": 1e-4, "verdict": "met", "unknown": (),
+                 "left out": ()}
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
     def statistics(self, state):
@@ -143,7 +144,7 @@ def test_the_last_good_picture_stays(widget):
     good = settled(widget)
     field = widget.controls[F_NUMBER].number
     field.value = -1.0
-    assert np.array_equal(settled(widget), good) and "optics.f_number = -1.0: allowed is" in widget._error.value
+    assert np.array_equal(settled(widget), good) and "f-number = -1.0: allowed is" in widget._error.value
     with pytest.raises(GpusimError, match=r"optics\.f_number = -1"):
         widget.frame()
     field.value = float("nan")  # a field that was emptied

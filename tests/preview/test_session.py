@@ -13,6 +13,7 @@ import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.cli import main
 from gpusim.data.cameras import camera_of, camera_table, open_camera
+from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadData, GpusimError
 from gpusim.preview import session as module
 from gpusim.preview.cli import require_port
@@ -21,7 +22,6 @@ from gpusim.preview.guard import Guard
 from gpusim.preview.producer import Picture, Producer
 from gpusim.preview.session import IN_FLIGHT, Session
 from gpusim.preview.state import History, State
-from gpusim.video.manifest import digest
 from gpusim.video.scenes import Still
 
 simplejpeg = pytest.importorskip("simplejpeg", reason="pip install gpusim[preview]")

@@ -274,6 +274,30 @@ def test_quality_on_one_photograph(shared_data, folder):
     assert ours > soft + 0.5
 
 
+def test_read_noise_alone_keeps_the_root():
+    """With no or hardly any shot noise the result goes to that without noise, and stays above the adaptive stage's.
+
+    A picture of its own: coloured discs over each other, some dark. Read noise in parts of white.
+    """
+    random = np.random.default_rng(11)
+    y, x = np.mgrid[:160, :160]
+    image = np.full((160, 160, 3), 128.0)
+    for _ in range(400):
+        row, col = random.uniform(0, 160, 2)
+        image[np.hypot(y - row, x - col) < random.uniform(3, 15)] = 255 * random.uniform(0, 1, 3) ** 2
+    linear = light(image)
+    for read in (0.0, 1e-10, 1e-6, 1e-3, 1e-2, 0.03):
+        samples = mosaic(linear) + read * random.standard_normal((160, 160))
+        raw = np.clip(np.rint(4000 + 40000 * samples), 0, 65535).astype(np.uint16)
+        options = {"phase": "RGGB", "black_level": 4000.0, "scale": 1 / 40000, "device": "opencl"}
+        quality = [cpsnr(codes(np.moveaxis(picture.astype(float), 0, 2)), codes(linear)) for picture in (
+            adaptive(raw, **options), best(raw, **options), *(best(raw, noise=(40000 * gain, 40000 * read), **options)
+                                                              for gain in (0.0, 1e-8)))]
+        assert min(quality[2:]) > quality[0], read
+        if read < 1e-5:  # its assumed noise, .16 (read / 20)^.5 of a code's scale, is below a 255th
+            np.testing.assert_allclose(quality[2:], quality[1], atol=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", ["kodak", "mcm"])
 def test_never_below_bilinear_at_any_noise_or_blur(shared_data, folder):

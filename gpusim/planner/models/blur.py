@@ -60,6 +60,6 @@ def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes)
         bound = total([bound, probes.even_error(picture.from_afar(question, SIDE / 2))])
     if SAFETY * bound.ratio(question.tolerance) > 1:
         return question
-    notes.without("blur", bound, "blur left out")
-    camera = replace(question.camera, optics=replace(question.optics, model="none"))
+    notes.leave_out("blur", bound, "blur left out")
+    camera = replace(question.camera, optics=replace(question.optics, model="none", psf=None))
     return replace(question, camera=camera)

@@ -24,6 +24,7 @@ from gpusim.planner.farfield import (
     spline_error,
     tails_of,
 )
+from gpusim.planner.fusion import in_range
 from gpusim.planner.highlights import TRANSFORM_ERROR
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.notes import Notes
@@ -34,6 +35,7 @@ FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left t
 OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
 EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
 SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
+BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
 MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
 
 
@@ -97,16 +99,17 @@ class Surroundings:
     def describe(self, question: Question, notes: Notes):
         """Say what is not seen."""
         reach = min(self.reaches)
-        notes.bounds["border"] = self.bound
         if self.far is not None:
+            notes.bounds["border"] = self.bound
             beyond = (f"{self.reach} pixels outside the frame" if self.tiling is None else
                       f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}")
             notes.models["optics.far"] = f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
             notes.models["optics.near"] = "transfer functions less those of the Gaussians"
             return
+        notes.bounds["border"] = self.bound
         if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
-            notes.left_out.append(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen "
-                                  f"as the transforms repeat it: relative rms {self.bound.rms:.2g}, predicted")
+            notes.leave_out(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
+                            "transforms repeat it", self.bound, "border")
         if question.optics.is_ideal:
             notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
 
@@ -168,6 +171,15 @@ def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
         yield [around(reach)]
 
 
+def surroundings_of(question: Question, picture: Picture, level: float, period: tuple[int, int],
+                    far: FarField | None, made: Tiling | None) -> Surroundings:
+    """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
+    reaches = [made.overlap] * 2 if made is not None else [
+        (length - n) // 2 for length, n in zip(period, question.size, strict=True)]
+    return Surroundings(ceil(min(reaches) / question.ratio), reaches, period, False,
+                        _outside(question, picture, None, level), level, far, made, question)
+
+
 def _lengths(question, least):
     """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
     if question.period:
@@ -181,8 +193,12 @@ def _outside(question, picture, depth, level):
     if question.is_blurred:
         spread = depth.reach if depth else question.spread
     tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
-    return Outside(picture.brightness, scene.border, scene.margin, tail, spread, picture.level,
-                   max(question.sensor.read_sigma**2, 1) / level, split.missing if split else 0.0,
+    light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
+    if picture.level > BRIGHT:  # all that is told is over the level
+        light, power = in_range(light)
+        unit = 2.0**-power
+    return Outside(light, scene.border, scene.margin, tail, spread, picture.level * unit,
+                   max(question.sensor.read_sigma**2, 1) / level, missing * unit,
                    min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ()))
 
 

@@ -6,7 +6,7 @@ from gpusim.domain.account import SAFETY, total
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import ideal
 from gpusim.planner.geometry import microlens_gain, relative_illumination, vignetting_gain
-from gpusim.planner.notes import Notes
+from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
@@ -22,7 +22,7 @@ def falloff_of(question: Question, probes: Probes | None, notes: Notes) -> tuple
     parts, slope = _lens(question, notes)
     if sensor.microlens is not None:
         parts["microlenses"] = microlens_gain(sensor.microlens, shape, sensor.pixel_pitch,
-                                              question.optics.image_distance, displacement)
+                                              question.optics.image_distance, question.from_axis)
     if sensor.vignetting is not None:
         parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
     gains = np.prod(list(parts.values()), axis=0) if parts else None
@@ -30,7 +30,7 @@ def falloff_of(question: Question, probes: Probes | None, notes: Notes) -> tuple
         assert question.tolerance is not None
         bound = probes.even_error(most)
         if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
-            notes.without(f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out")
+            notes.leave_out(f"{' and '.join(parts)} of up to {most:.2g}", bound, "fall-off left out")
             gains = None
     if gains is not None:
         notes.models["optics.falloff"] = " and ".join(parts)
@@ -48,16 +48,16 @@ def _lens(question, notes):
                  else sensor.pixel_pitch / optics.image_distance)
         if optics.distortion is not None:  # the law is that of the angle at which light comes, not of where it lands
             return {"cos^4 of the undistorted field": (1 + _tangent(question, slope) ** 2) ** -2}, 0.0
-        if not any(displacement):
+        if not any(displacement):  # without distortion the axis is in the middle
             return {}, slope
         # the law that goes with the exposure is that of a grid in the middle
         return {"cos^4": relative_illumination("cos4", scene.shape, slope, 1.0, displacement=displacement)}, 0.0
     if optics.relative_illumination == "none":
-        notes.left_out.append('relative illumination: set to "none"')
+        notes.leave_out('relative illumination: set to "none"', DECLARED)
         return {}, 0.0
     return {"relative illumination as given": relative_illumination(
         optics.relative_illumination, scene.shape, sensor.pixel_pitch, optics.image_distance,
-        displacement=displacement)}, 0.0
+        displacement=question.from_axis)}, 0.0
 
 
 def _tangent(question, slope):

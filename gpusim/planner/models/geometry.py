@@ -1,10 +1,13 @@
 """Geometry: where the lens puts the samples."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
-from gpusim.domain.account import SAFETY, total
+from gpusim.domain.account import SAFETY, UNKNOWN, total
 from gpusim.domain.calibration import Calibration
-from gpusim.planner.geometry import DistortionGrid, distortion_grid
+from gpusim.planner.geometry import DistortionGrid, distortion_grid, place_phases
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
@@ -19,39 +22,54 @@ def viewed(question: Question, probes: Probes, notes: Notes):
                                       "each frame says")
 
 
-def distorted(question: Question, probes: Probes | None, notes: Notes) -> DistortionGrid | None:
-    """The lens's distortion of the samples, the margin's where there is blur to need it; None: as a pinhole would.
+def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -> DistortionGrid | None:
+    """The lens's distortion of the samples, with the error of its interpolation; None if the lens has none.
 
-    probes: of the scene, where there is a tolerance. Raises OutOfRange.
+    Of the margin's samples, too, if there is blur to need them. told: gives the scene's probes. Raises OutOfRange.
     """
     distortion = question.distortion
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
+    if question.scene.view.is_whole(question.ratio):  # else it is an error of the view, whose places are anywhere
+        width = sum(made.ratio) / 2 if made.method == "area" else None
+        everywhere, worst = (told().interpolated(phases, width) for phases in place_phases(made, seen))
+        notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
+    return made
+
+
+def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
+    """The distortion that the frame gets: `made`, or None if it may be left out.
+
+    probes: of the scene, if there is a tolerance.
+    """
+    if made is None:
+        return None
     move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.moved(move)
-        if SAFETY * total([*notes.bounds.values(), bound]).ratio(question.tolerance) <= 1:
-            notes.without(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
+        others = [one for name, one in notes.bounds.items() if name != "distortion"]
+        if SAFETY * total([*others, bound]).ratio(question.tolerance) <= 1:
+            notes.bounds.pop("distortion", None)
+            notes.leave_out(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
-    if isinstance(question.optics.distortion, Calibration):
-        _note_calibration(question, question.optics.distortion, notes)
     return made
 
 
-def _note_calibration(question, calibration, notes):
-    """Say what the frame takes from a calibration, and what goes on about the frame's middle."""
-    notes.models["optics.distort"] += f"; {calibration}"
+def describe_calibration(question: Question, notes: Notes):
+    """Say what the frame takes from a calibration in place of the scene's own field of view."""
+    calibration = question.optics.distortion
+    if not isinstance(calibration, Calibration):
+        return
+    if "optics.distort" in notes.models:
+        notes.models["optics.distort"] += f"; {calibration}"
     across = calibration.width / calibration.fx  # of the pinhole's picture, in focal lengths
-    given = question.scene.fov and 2 * np.tan(question.scene.fov / 2)
-    if given and abs(given / across - 1) > NEGLIGIBLE:
-        notes.left_out.append(f"the scene's field of view, {np.degrees(question.scene.fov):.4g} deg: taken for that of "
-                              f"the calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg")
-    move = np.hypot(*calibration.off_middle)
-    if move > 0.5 and (question.optics.varies or not isinstance(question.optics.relative_illumination, str)):
-        notes.left_out.append(f"principal point {move:.3g} pixels off the middle: distortion and cos^4 follow it; blur "
-                              "and a given relative illumination stay about the frame's middle")
+    fov = question.scene.fov
+    if fov and abs(2 * np.tan(fov / 2) / across - 1) > NEGLIGIBLE:
+        notes.leave_out(f"the scene's field of view, {np.degrees(fov):.4g} deg: taken for that of the "
+                        f"calibration's pinhole, {np.degrees(2 * np.arctan(across / 2)):.4g} deg", UNKNOWN,
+                        "field of view")

@@ -46,6 +46,17 @@ class Picture:
         return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest,
                             exposure_time)
 
+    def mosaic(self, weights, share) -> float | None:
+        """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
+
+        weights: electrons per content, (C, L). share: part of the pixels that has each channel, (C,).
+        """
+        split = self.highlights
+        if split is None:
+            return None
+        each = (split.spectra @ weights.T)[split.light] * split.strength[:, None]
+        return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
+
     def describe(self, notes: Notes):
         """Say what was split off."""
         split = self.highlights
@@ -61,15 +72,18 @@ class Picture:
             notes.beside["local error beside highlights"] = left
 
 
+def whole(question: Question) -> Picture:
+    """The picture with its highlights."""
+    brightness = question.facts.brightness(question.light)
+    return Picture(brightness, *seen_light(brightness, question.deviation, question.scene.margin), None)
+
+
 def split(question: Question) -> tuple[Question, Picture]:
     """The question of what is left without highlights, and the picture."""
-    scene, facts = question.scene, question.facts
-    brightness = facts.brightness(question.light)
-    level, highest = seen_light(brightness, question.deviation, scene.margin)
-    picture = Picture(brightness, level, highest, None)
-    if not _can_be_split(question) or not picture.is_spiky:
+    scene, facts, picture = question.scene, question.facts, whole(question)
+    if not can_be_split(question) or not picture.is_spiky:
         return question, picture
-    brightness = brightness.copy()
+    brightness, level, highest = picture.brightness.copy(), picture.level, picture.highest
     content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
                                            rule_of(scene.border))
     if highlights is not None:
@@ -77,8 +91,8 @@ def split(question: Question) -> tuple[Question, Picture]:
     return question, Picture(brightness, level, highest, highlights)
 
 
-def _can_be_split(question):
-    """Points' kernels are Airy patterns integrated over a square that the point is in the middle of."""
+def can_be_split(question: Question) -> bool:
+    """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
     optics, cell = question.optics, question.cell
     ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None
              and question.scene.view.is_plain)

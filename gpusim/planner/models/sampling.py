@@ -2,6 +2,7 @@
 
 from math import ceil, inf
 
+from gpusim.domain.account import Bound
 from gpusim.domain.errors import OutOfRange
 from gpusim.planner.notes import Notes
 from gpusim.planner.question import Question, displaced
@@ -39,11 +40,11 @@ def describe(question: Question, taps, notes: Notes):
     if taps is not None:
         notes.models["optics.sample"] = (f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
                                          f"its aperture{displaced(question.sensor.displacement)}")
-    notes.beside["scene sampling"] = sampling_error(
+    finer = sampling_error(
         question.facts.moments(weights), weights, question.q, question.share, ratio, question.aperture, taps,
         question.tables if question.is_blurred else None, question.moved)
-    notes.left_out.append(f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
-                          f"scene sample{'' if ratio == 1 else 's'} per pixel")
+    notes.leave_out(f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
+                    f"scene sample{'' if ratio == 1 else 's'} per pixel", Bound(finer), "scene sampling", of_scene=True)
 
 
 def _axes(question):

@@ -8,15 +8,16 @@ import numpy as np
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
+from gpusim.domain.spectrum import LINE
 from gpusim.planner.drift import Watch, wrong_moments
 from gpusim.planner.field import FieldBlur
 from gpusim.planner.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
 from gpusim.planner.models.field import varying_planes
 from gpusim.planner.models.highlights import Picture
 from gpusim.planner.models.sampling import taps_of
-from gpusim.planner.notes import Notes
+from gpusim.planner.notes import DECLARED, Notes
 from gpusim.planner.operation import Operation
-from gpusim.planner.probes import COUNT, LEAST_WINDOWS, RIM, SIDE, Probes
+from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import Question
 from gpusim.planner.sampling import pixel_response
 from gpusim.planner.tables import field_tables
@@ -59,8 +60,7 @@ def unblurred(question: Question, notes: Notes) -> Planes:
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
     notes.models[_stage(content)] = (f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
                                      "(no blur to apply)")
-    colour = ", lateral colour" if np.any(optics.lateral_color_at(nodes)) else ""
-    notes.left_out.append(f'diffraction{colour}: optics.model is "none"')
+    notes.leave_out(f'{optics.unused}: optics.model is "none"', DECLARED)
     return Planes(np.ones(len(nodes)), weights @ spectra.T, None, None)
 
 
@@ -102,11 +102,31 @@ def _varying(question, even, flat, probes):
 
 
 def describe_unseen(question: Question, notes: Notes):
-    """Say what light the scene does not tell."""
+    """Say what light the scene does not hold, with its share of the electrons if it goes on as at the scene's ends."""
     nodes, qe = question.scene.wavelengths, question.sensor.qe
+    if len(nodes) == 1:
+        notes.leave_out(f"light outside {LINE:g} nm around the scene's only wavelength, {nodes[0]:g} nm", DECLARED)
+        return
     unseen = qe.wavelengths[(qe.values > 0.01).any(axis=0)]
     if unseen[0] < nodes[0] - 1 or unseen[-1] > nodes[-1] + 1:
-        notes.left_out.append(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see")
+        notes.leave_out(f"light outside the scene's {nodes[0]:g} .. {nodes[-1]:g} nm, which the sensor would see, if "
+                        "it goes on as at the ends", Bound(_light_outside(question)), "light outside the wavelengths",
+                        of_scene=True)
+
+
+def _light_outside(question):
+    """Electrons from outside the scene's wavelengths over those from inside [1].
+
+    Content and light go on as at their ends; all channels count.
+    """
+    nodes, qe, optics = question.scene.wavelengths, question.sensor.qe, question.optics
+    content = np.sqrt(np.maximum(np.diag(question.facts.spectra.values), 0))
+    grid = np.arange(qe.wavelengths[0], qe.wavelengths[-1] + 1)
+    light = np.interp(grid, nodes, content) * optics.transmission_at(grid) * question.scene.illuminant.at(
+        grid, outside=None) * qe.at(grid).sum(axis=0)
+    inside = (grid >= nodes[0]) & (grid <= nodes[-1])
+    seen = light[inside].sum()
+    return float(light[~inside].sum() / seen) if seen > 0 else 0.0
 
 
 def _stage(content):
@@ -144,7 +164,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     if not optics.varies:
         tables = question.tables.even(question.q, question.cell, period, question.ratio, question.moved)
     else:
-        half = np.array(scene.samples) / 2 / question.corner
+        half = (np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)) / question.corner
         tables = field_tables(question.lens, scene.wavelengths, half * FIELD_POINTS, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
@@ -170,7 +190,20 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
     tables = np.broadcast_to(tables, (len(flat), *tables.shape[1:]))
     return Probes.of(question.facts, windows, scene.border, tables=tables,
                      weights=question.weights, even=question.weights / flat, share=question.share,
-                     level=picture.level, seconds=operation.seconds, noise=operation.noise)
+                     level=picture.level, seconds=operation.seconds, noise=operation.noise,
+                     apart=picture.mosaic(question.weights, question.share),
+                     **_seen_part(question, windows))
+
+
+def _seen_part(question, windows):
+    """Rows and columns of windows' inner parts that are in the frame, and the channels of their pixels, or None."""
+    scene, sensor = question.scene, question.sensor
+    inner = tuple(min(n, INNER) for n in scene.samples)
+    if sensor.stacked or question.ratio != 1:
+        return {"inner": inner}
+    y, x = (at[:, RIM : RIM + n] - scene.margin for at, n in zip((windows.rows, windows.cols), inner, strict=True))
+    cfa = sensor.cfa_indices
+    return {"inner": inner, "channels": cfa[y[:, :, None] % len(cfa), x[:, None] % cfa.shape[1]]}
 
 
 def response_of(question: Question, even, flat) -> Response:

@@ -1,0 +1,354 @@
+"""Mean electrons of any camera before any scene by float64 sums that share nothing with planner, kernels or truth.
+
+What is taken for true:
+- A sample is a point of light at its place; a pixel is the mean of the irradiance over its aperture. Apertures that
+  leave gaps between them are scaled so that a flat field is right.
+- Light of every sample is spread by the lens at its own place and distance: nothing keeps flat fields flat.
+- Between samples the scene is band-limited: views and distortion take it from there. It goes on as the border says.
+- Nearer things hide farther ones. A picture with depth does not show what they hide, so there are two answers: all
+  spread without hiding, and composed of layers behind which the picture goes on.
+- Spectra of the scene are cubic splines between its wavelengths; light, filters and efficiencies are as tabulated.
+Each open question gives one more answer; a frame errs by its distance from the interval between them.
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+import scipy.fft
+import triple_brute as brute
+from scipy.ndimage import distance_transform_edt
+from triple_geometry import AROUND, band_limited, channel_weights, distorted, falloff, few
+from triple_lens import Lens, apertures, edges, kernels, measured_kernels, steepest, tail
+
+from gpusim.domain.errors import OutOfRange
+
+NEAREST, RINGS, FARTHEST = 40, 16, 110  # [sample] within which all light is summed; rings; the most
+NODES = 7  # Chebyshev's places along an axis for a lens that varies, and distances of a slope
+SAFE = 10  # [pixel] of the frame's rim that are not looked at where the world beyond is an open question
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Mean electrons, one array for each answer.
+
+    rim: pixels around the frame that are not looked at. sure: to what share of a pixel's light the sums are right.
+    """
+
+    means: list
+    rim: int = 0
+    sure: float = 3e-5
+
+    def distance(self, mean):
+        """How far a frame is from the interval between the answers, and the one in the middle of them."""
+        low, high = np.min(self.means, axis=0), np.max(self.means, axis=0)
+        off = np.maximum(np.maximum(low - mean, mean - high), 0)
+        if self.rim:
+            inside = np.zeros(off.shape[-2:], bool)
+            inside[self.rim : -self.rim or None, self.rim : -self.rim or None] = True
+            off = off * inside
+        return off, np.clip(mean, low, high)
+
+
+def answers(scene, camera, seconds: float) -> Answers:
+    """What a camera sees of a scene. Raises OutOfRange where these sums do not say it."""
+    require(scene, camera)
+    planes = [spectra(scene.content, band) for band in range(len(scene.wavelengths))]
+    worlds, rim = [np.stack(planes)], 0
+    if not scene.view.is_plain:
+        worlds = [seen_by_view(scene, worlds[0])]
+    if camera.optics.distortion is not None:
+        rim = SAFE
+        worlds = [distorted(scene, camera, worlds[0], beyond) for beyond in (0, AROUND)]
+    if scene.depth is not None and camera.optics.distortion is not None:
+        scene, worlds = flat_depth(scene, camera, worlds[0])
+    means = []
+    lens = Lens(scene, camera)
+    for world in worlds:
+        more = (np.array(world.shape[1:]) - scene.content.shape) // 2
+        for kind in ("spread", "layers") if scene.depth is not None else ("spread",):
+            means.append(exposed(rates(lens, world, int(more[0]), kind), scene, camera, seconds))
+    optics, sensor = camera.optics, camera.sensor
+    q = scene.wavelengths.min() * 1e-9 * optics.working_f_number / sensor.pixel_pitch * scene.samples_per_pixel
+    # rays of straight edges meet apertures with gaps unevenly: halving what is beyond the reach changes it by 2e-4
+    is_uneven = sensor.fill_factor < 1 and q < 1 and optics.pupil.blades
+    return Answers(means, min(rim, (min(scene.shape) - 1) // 3), 5e-4 if is_uneven else 3e-5)
+
+
+def flat_depth(scene, camera, _world):
+    """A scene with depth as the lens displaces it: one picture, whose samples have the distance of the nearest one."""
+    planes = np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
+    (light, _, depth), = sheets_of(scene, planes, "spread")
+    flat = replace(scene, layers=(), depth=depth)
+    return replace(flat, depth=distorted(flat, camera, depth[None], 0, order=0)[0]), [distorted(
+        flat, camera, light, 0)]
+
+
+def spectra(content, band) -> np.ndarray:
+    """A band of a content, float64 (rows, cols)."""
+    if content.form != "illuminated":
+        return brute.spectra(content, band)
+    surfaces = np.tensordot(content.basis[:, band], content.coefficients.astype(np.float64), 1)
+    return surfaces * np.tensordot(content.lights[:, band], content.maps.astype(np.float64), 1)
+
+
+def require(scene, camera):
+    """Raise OutOfRange for what has no one answer here."""
+    ratio, sensor = scene.samples_per_pixel, camera.sensor
+    if len(scene.wavelengths) < 2:
+        raise OutOfRange("wavelengths", len(scene.wavelengths), "2 or more for a spline")
+    if not float(ratio).is_integer():
+        raise OutOfRange("samples per pixel", ratio, "a whole number")
+    q = scene.wavelengths.min() * 1e-9 * camera.optics.working_f_number / sensor.pixel_pitch * ratio
+    partial = ratio != 1 and (sensor.fill_factor != 1 or any((ratio * one) % 1 for one in sensor.displacement))
+    if partial and (q < 2 or camera.optics.model != "diffraction"):
+        raise OutOfRange("q of a sample", f"{q:.2g}", "2 or more with apertures that end between samples")
+    if camera.optics.model == "none" and (any(sensor.displacement) or partial):
+        raise OutOfRange("displacement", sensor.displacement, "0 without blur")
+
+
+def seen_by_view(scene, planes):
+    """The samples that a view shows; beyond the scene they are as the border says."""
+    view, ratio = scene.view, scene.samples_per_pixel
+    y, x = (np.arange(n) - (n - 1) / 2 for n in planes.shape[1:])
+    cos, sin = np.cos(view.rotation) / view.zoom, np.sin(view.rotation) / view.zoom
+    y, x = np.meshgrid(y, x, indexing="ij")
+    down, across = cos * y + sin * x + ratio * view.shift[0], cos * x - sin * y + ratio * view.shift[1]
+    return band_limited(planes, down, across, scene.border)
+
+
+def reach_of(lens, planes) -> int:
+    """Samples within which all light is summed. Raises OutOfRange."""
+    scene, optics = lens.scene, lens.camera.optics
+    if optics.model == "measured":
+        return ceil(optics.psf.radius * scene.samples_per_pixel / lens.camera.sensor.pixel_pitch) + 2
+    longest = scene.wavelengths.max()
+    distances = [None] if scene.depth is None else [
+        extreme(np.asarray(one)) for one in (scene.depth, *(layer.depth for layer in scene.layers))
+        for extreme in (np.min, np.max)]
+    radius = max(2 * lens.q(longest) * steepest(lens.waves(wavelength, y, x, distance)) * wavelength / longest
+                 for y, x in ((0, 0), (0.7, 0.7), (0, 1), (-0.7, 0.7)) for distance in distances
+                 for wavelength in scene.wavelengths[[0, -1]])
+    reach = max(NEAREST, RINGS * lens.q(longest), 3 * radius)
+    if scene.border == "zero":
+        return max(max(planes.shape[1:]), ceil(min(reach, FARTHEST)))
+    if reach > 1.3 * FARTHEST:
+        raise OutOfRange("spread", f"{reach:.0f} samples", f"up to {1.3 * FARTHEST:.0f}")
+    return ceil(min(reach, FARTHEST))
+
+
+def shares_of(lens, more, reach):
+    """Field points, and the share of every world's sample in the spread of each: pairs (points, weights).
+
+    Chebyshev's places over the samples; samples beyond are as the outermost.
+    """
+    shape = lens.scene.content.shape
+    if not lens.varies:
+        return [(0.0, 0.0)], np.ones((1, 1, 1))
+    unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    axes, places = [], []
+    for n in shape:
+        at = np.clip(np.arange(-reach - more, n + reach + more), 0, n - 1) / max((n - 1) / 2, 0.5) - 1
+        basis = np.ones((NODES, len(at)))
+        for i in range(NODES):
+            for j in set(range(NODES)) - {i}:
+                basis[i] *= (at - unit[j]) / (unit[i] - unit[j])
+        axes.append(basis)
+        places.append((unit + 1) * max((n - 1) / 2, 0.5))
+    points = [lens.place(y, x) for y in places[0] for x in places[1]]
+    return points, (axes[0][:, None, :, None] * axes[1][None, :, None, :]).reshape(NODES**2, *(
+        len(axis[0]) for axis in axes))
+
+
+def sheets_of(scene, planes, kind):
+    """Layers, the nearest first: light (L, rows, cols), coverage and distances, both (rows, cols).
+
+    kind: "layers", or "spread" without hiding, of the picture that the scene shows.
+    """
+    shape = planes.shape[1:]
+    whole = np.ones(shape)
+    if scene.depth is None:
+        return [(planes, whole, None)]
+    found = []
+    for layer in scene.layers:
+        light = np.stack([spectra(layer.content, band) for band in range(len(planes))])
+        found.append((light, np.asarray(layer.alpha, float), np.broadcast_to(layer.depth, shape)))
+    behind = planes, whole, np.asarray(scene.depth, float)
+    if kind == "layers" and scene.layers:
+        return [*found, behind]
+    light, depth = planes, behind[2]
+    for own, alpha, its in reversed(found):
+        light, depth = np.where(alpha >= 0.5, own, light), np.where(alpha >= 0.5, its, depth)
+    levels = np.unique(depth)
+    if kind == "spread" or len(levels) > 3:
+        return [(light, whole, depth)]
+    sheets = []
+    for level in levels:
+        nearer = depth < level
+        rows, cols = distance_transform_edt(nearer, return_distances=False, return_indices=True) if nearer.any() else (
+            np.indices(shape))
+        sheets.append((light[:, rows, cols], (depth[rows, cols] == level) * 1.0, np.full(shape, level)))
+    return sheets
+
+
+def by_distance(distances):
+    """Distances, and the share of every sample in each: few as they are, a slope by Chebyshev's places in 1 / m."""
+    levels = np.unique(distances)
+    if len(levels) <= 4:
+        return [(float(level), (distances == level) * 1.0) for level in levels]
+    nearness = 1 / distances
+    low, high = nearness.min(), nearness.max()
+    unit = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    nodes, found = low + (unit + 1) / 2 * (high - low), []
+    for i, node in enumerate(nodes):
+        share = np.ones(distances.shape)
+        for j in set(range(NODES)) - {i}:
+            share = share * (nearness - nodes[j]) / (node - nodes[j])
+        found.append((float(1 / node), share))
+    return found
+
+
+def rates(lens, planes, more, kind) -> np.ndarray:
+    """Electrons per second of every channel at every pixel, before the fall-off, (C, rows, cols).
+
+    more: samples on each side that `planes` have beyond the scene's.
+    """
+    scene, camera = lens.scene, lens.camera
+    weights = channel_weights(scene, camera)
+    total = np.zeros((len(weights), *scene.shape))
+    ratio = int(scene.samples_per_pixel)
+    width, _, first = apertures(scene, camera)
+    room = ceil(ratio * max(map(abs, camera.sensor.displacement))) + 1  # pixels beyond the outermost samples
+    if camera.optics.model == "none":
+        light = np.tensordot(weights, planes, 1)
+        places = np.ix_(*(more + scene.margin + (have - 2 * scene.margin - ratio * n) // 2 + np.arange(ratio * n)
+                          for have, n in zip(scene.content.shape, scene.shape, strict=True)))
+        rows, cols = scene.shape
+        return light[:, places[0], places[1]].reshape(-1, rows, ratio, cols, ratio).mean(axis=(2, 4))
+    reach = reach_of(lens, planes)
+    points, shares = shares_of(lens, more, reach + room)
+    sheets, shown = sheets_of(scene, planes, kind), sheets_of(scene, planes, "spread")[0][0]
+    hidden = sheets_afar(lens, sheets, reach, room) if len(sheets) > 1 else []
+    chosen = np.ix_(*(room + more + at + ratio * np.arange(n) for at, n in zip(first, scene.shape, strict=True)))
+    afar = np.zeros((len(weights), *planes.shape[1:]))
+    for band, wavelength in enumerate(scene.wavelengths):
+        share = weights[:, band]
+        if not np.abs(share).max() > 1e-7 * np.abs(weights).max():
+            continue
+        spread = Spread(lens, wavelength, points, shares, reach, room, bool(np.isclose(width, ratio).all()))
+        light = composed(spread, [(one[band], alpha, its) for one, alpha, its in sheets],
+                         [(one[band], cover) for one, cover in hidden])
+        total += share[:, None, None] * light[chosen]
+        afar += lens.q(wavelength) * spread.excess * share[:, None, None] * shown[band]
+    return total if hidden else total + far(lens, afar, reach, scene, more, first)
+
+
+@dataclass(eq=False)
+class Spread:
+    """Light of one wavelength, spread by the kernels of field points in which every sample has its shares.
+
+    reach: of the kernels. room: samples around that get light, too. is_whole: whether apertures leave no gaps.
+    excess: light beyond the reach over that of a sharp image; known once light was spread.
+    """
+
+    lens: Lens
+    wavelength: float
+    points: list
+    shares: np.ndarray
+    reach: int
+    room: int
+    is_whole: bool
+    excess: float = 1.0
+
+    def gathered(self, light, distance, mode):
+        """What apertures at all samples, and `room` around, get of light that goes on as `mode` of numpy.pad says."""
+        world = np.pad(light, self.reach + self.room, mode=mode)
+        reach, measured = self.reach, self.lens.camera.optics.model == "measured"
+        if not world.any():
+            return np.zeros([n - 2 * reach for n in world.shape])
+        if measured and self.lens.varies:
+            return gathered_one_by_one(self.lens, self.wavelength, world, reach)
+        key = self.wavelength, distance, reach
+        if key not in self.lens.known:
+            places = [(*point, distance) for point in self.points]
+            self.lens.known[key] = list(measured_kernels(self.lens, self.wavelength, self.points, reach) if measured
+                                        else kernels(self.lens, self.wavelength, places, reach))
+        made = self.lens.known[key]
+        size = [scipy.fft.next_fast_len(n + 2 * reach, real=True) for n in world.shape]
+        total, beyond, alone = 0.0, [], tail(self.lens, self.wavelength, reach)
+        for kernel, share in zip(made, self.shares, strict=True):
+            own = kernel if self.is_whole else kernel / (kernel.sum() + alone)
+            beyond.append(1 - own.sum())
+            total = total + scipy.fft.rfft2(world * share, size) * scipy.fft.rfft2(own, size)
+        if self.is_whole and alone:  # all light that is not near is afar
+            self.excess = float(np.clip(np.mean(beyond) / alone, 0, 20))
+        return scipy.fft.irfft2(total, size)[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
+
+
+def composed(spread, sheets, afar):
+    """Irradiance of one wavelength at the places of pixels among the samples, nearer sheets over farther ones.
+
+    afar: of each sheet its light and coverage from afar, to be added before one hides another; none of a single one.
+    """
+    border, out, through = spread.lens.scene.border, 0.0, 1.0
+    q = spread.lens.q(spread.wavelength)
+    for number, (light, alpha, distances) in enumerate(sheets):
+        mine, cover = 0.0, 0.0
+        for distance, share in [(None, np.ones(light.shape))] if distances is None else by_distance(distances):
+            mine = mine + spread.gathered(light * alpha * share, distance, brute.MODES[border])
+            if afar:
+                cover = cover + spread.gathered(alpha * share, distance, "symmetric" if border == "reflect" else "edge")
+        if not afar:
+            return mine
+        mine, cover = (one + q * spread.excess * more for one, more in zip((mine, cover), afar[number], strict=True))
+        out, through = out + through * mine, through * (1 - np.clip(cover, 0, 1))
+    return out
+
+
+def sheets_afar(lens, sheets, reach, room):
+    """Light and coverage of sheets from afar at all samples and `room` around, for a q of 1: (L, ...) and (...)."""
+    border, found = lens.scene.border, []
+    if lens.camera.optics.model == "measured":
+        return [(np.zeros(len(sheets[0][0])), 0.0)] * len(sheets)
+    for light, alpha, _ in sheets:
+        planes, mixes = few(light * alpha)
+        places = [np.arange(-room, n + room, dtype=float) for n in alpha.shape]
+        more, cover = (sum(part * brute.from_afar(one, of, reach, border if border != "zero" or is_light else "edge",
+                                                  *places) for part, of in edges(lens))
+                       for one, is_light in ((planes, True), (alpha[None], False)))
+        found.append((np.tensordot(mixes, more, 1), cover[0]))
+    return found
+
+
+def gathered_one_by_one(lens, wavelength, world, reach):
+    """The same where every sample has a spread of its own, which costs little: of Gaussians."""
+    out = np.zeros([n + 2 * reach for n in world.shape])
+    rows, cols = np.nonzero(world)
+    shape = lens.scene.content.shape
+    more = [(n - have) // 2 for n, have in zip(world.shape, shape, strict=True)]
+    places = {(y, x): lens.place(*(np.clip(at - beyond, 0, n - 1) for at, beyond, n in
+                                   zip((y, x), more, shape, strict=True)))
+              for y, x in zip(rows.tolist(), cols.tolist(), strict=True)}
+    for (y, x), kernel in zip(places, measured_kernels(lens, wavelength, places.values(), reach), strict=True):
+        out[y : y + 2 * reach + 1, x : x + 2 * reach + 1] += world[y, x] * kernel
+    return out[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
+
+
+def far(lens, afar, reach, scene, more, first):
+    """Electrons per second from beyond the reach, (C, rows, cols)."""
+    ratio = int(scene.samples_per_pixel)
+    if lens.camera.optics.model == "measured" or scene.border == "zero":
+        return 0.0
+    places = [more + at + ratio * np.arange(n, dtype=float) for at, n in zip(first, scene.shape, strict=True)]
+    return sum(part * brute.from_afar(afar, of, reach, scene.border, *places) for part, of in edges(lens))
+
+
+def exposed(channels, scene, camera, seconds: float) -> np.ndarray:
+    """Mean electrons of the mosaic, or of stacked pixels (C, rows, cols); none are negative."""
+    channels = np.maximum(channels, 0) * falloff(scene, camera) * seconds
+    if camera.sensor.stacked:
+        return channels
+    cfa, (rows, cols) = camera.sensor.cfa, scene.shape
+    index = np.array([[camera.sensor.channels.index(cfa[i % len(cfa)][j % len(cfa[0])]) for j in range(cols)]
+                      for i in range(rows)])
+    return np.take_along_axis(channels, index[None], 0)[0]

@@ -1,0 +1,30 @@
+"""Digests of values: the same for equal ones, in every process."""
+
+from dataclasses import fields, is_dataclass
+from hashlib import sha256
+
+import numpy as np
+
+
+def digest(value) -> str:
+    """Digest of a camera, or of another value of dataclasses, arrays, tuples and numbers: 16 hexadecimal letters."""
+    found = sha256()
+    _add(found, value)
+    return found.hexdigest()[:16]
+
+
+def _add(found, value):
+    if is_dataclass(value):
+        found.update(type(value).__name__.encode())
+        for field in fields(value):
+            found.update(field.name.encode())
+            _add(found, getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        found.update(repr((value.dtype.str, value.shape)).encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, list | tuple | dict):
+        items = list(value.items() if isinstance(value, dict) else value)
+        found.update(f"{type(value).__name__} {len(items)}".encode())
+        for item in items:
+            _add(found, item)
+    else:
+        found.update(repr(value).encode())
