@@ -145,7 +145,7 @@ def test_the_last_good_picture_stays(widget):
     field = widget.controls[F_NUMBER].number
     field.value = -1.0
     assert np.array_equal(settled(widget), good) and "f-number = -1.0: allowed is" in widget._error.value
-    with pytest.raises(GpusimError, match=r"optics\.f_number = -1"):
+    with pytest.raises(GpusimError, match="f-number = -1"):
         widget.frame()
     field.value = float("nan")  # a field that was emptied
     assert widget.state.changes[F_NUMBER] == -1.0
