@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import numpy as np
-import warp as real
 
 from gpusim.backends import warp as backend
 from gpusim.backends.select import open_device
 from gpusim.backends.warp import WarpDevice
 
+real = backend.started_warp()  # without its messages
 _contexts = threading.local()
 
 
@@ -210,7 +210,7 @@ class Native:
     """A kernel of OpenCL text, which runs on PoCL in the GPU's form."""
 
     def __init__(self, of, stage, name, defines):
-        self.of, self.stage, self.name, self.defines, self.module = of, stage, name, defines, f"{stage} {name}"
+        self.of, self.stage, self.name, self.defines, self.module = of, stage, name, defines, self
 
     def run(self, dim, params, options):
         with FAKE.lock:
@@ -233,6 +233,7 @@ class FakeWarp:
     array, Event, Stream = Array, Event, Stream
     uint16, float32, int32 = real.uint16, real.float32, real.int32
     dtype_from_numpy, dtype_to_numpy = staticmethod(real.dtype_from_numpy), staticmethod(real.dtype_to_numpy)
+    get_module = staticmethod(real.get_module)
     config, __version__ = real.config, real.__version__
 
     def __init__(self):
@@ -296,7 +297,7 @@ class FakeWarp:
         try:
             if device is None or not self.get_device(device).is_cuda:
                 raise RuntimeError("a module for no CUDA device")
-            if not isinstance(module, str):  # one of Native
+            if not isinstance(module, Native):
                 real.load_module(module, device="cpu")
         finally:
             self.loading.release()
