@@ -29,7 +29,8 @@ ENDS = {"plain": ("work()", 0),
         "a thread that nobody waits for": ("other = simulate.program(scene, 0.02)\ndef on():\n    while True:\n"
                                            "        other.output('irradiance')\n        other.raw()\n"
                                            "threading.Thread(target=on, daemon=True).start()\nwork()", 0),
-        "Ctrl-C": ("import os, signal\nwork()\nos.kill(os.getpid(), signal.SIGINT)\nwork()", -2),
+        "Ctrl-C": ("import os, signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nwork()\n"
+                   "os.kill(os.getpid(), signal.SIGINT)\nwork()", -2),
         "a stream": ("frames = simulate.stream([scene] * 3, 'raw')\nx = next(frames)", 0),
         "a device that is dropped": ("from gpusim.backends.opencl import OpenCLDevice\n"
                                      "device = open_device(sys.argv[1])\nis_opencl = device.kind == 'opencl'\n"
