@@ -13,7 +13,7 @@ What the frame and the truth both still use, and what judges it from outside (te
   scene gives even pixels: test_truth_stars.py, test_truth_scenes.py;
 - light from afar, on a coarse grid with what the planner predicts (`planner.border.unseen`): test_border.py;
 - formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`, `planner.geometry`):
-  test_opencv.py, tests/host/test_geometry.py;
+  test_opencv.py, tests/frames/test_geometry.py;
 - layers and kernels by distance (`planner.depth`), and samples that are even over their cells if nothing blurs them:
   tests/frames/test_depth.py, tests/frames/test_sampling.py.
 """

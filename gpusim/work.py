@@ -33,7 +33,7 @@ def of_plan(plan: Plan, models) -> dict[str, float]:
         entries = 1 if content.labels is not None else len(content.entry_spectra)
         work["spectral.survey"] = len(plan.watch.first) * content.shape[1] * entries
     if plan.is_placed:
-        work["optics.distort"] = planes * samples
+        work["optics.distort"] = (planes + channels) * samples
     if plan.mix is not None:
         work |= _blur(plan, planes, samples, channels)
     if plan.far is not None:

@@ -20,6 +20,7 @@ from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.optics.tiles import tiles
 from gpusim.kernels.sensor.collect import collect
+from gpusim.kernels.spectral.integrate import integrate
 from gpusim.planner.geometry import view_nodes
 from gpusim.planner.highlights import point_kernels
 from gpusim.planner.plan import Plan
@@ -39,7 +40,21 @@ class Imaging:
         """Planes of the scene's own wavelengths where the lens puts them, before any blur, shape (L, rows, cols)."""
         table = None if plan.content.is_spectral else plan.content.entry_spectra.T
         planes = self.planes(table, self.stored(plan.content))
-        return self.placed(plan, planes, self.places(plan, plan.scene.view)) if plan.is_placed else planes
+        if not plan.is_placed:
+            return planes
+        view = plan.scene.view
+        return self.placed(plan, planes, self.places(plan, view), plan.weights, view.zoom)
+
+    def lights(self, plan: Plan) -> np.ndarray | None:
+        """What every plane before the blur is in the light of each channel, (C, planes); None: planes are channels."""
+        if plan.mix is None:
+            return None
+
+        def made():
+            light = plan.weights @ plan.content.entry_spectra.T
+            return light if plan.table is None else np.linalg.lstsq(plan.table.T, light.T, rcond=None)[0].T
+
+        return self._kept("lights", (plan.weights, plan.table, plan.content.entry_spectra), made)
 
     def places(self, plan: Plan, view: View):
         """Where the lens and a view put the samples, for `placed`: an array of the device."""
@@ -50,10 +65,16 @@ class Imaging:
                                plan.scene.samples_per_pixel)
         return self.device.array(nodes[None])
 
-    def placed(self, plan: Plan, planes, places):
-        """Planes where the lens and the view put them; places: see `places`."""
-        method = "cubic" if plan.distortion is None else plan.distortion.method
-        return distort(planes, places, self._seen(plan), self._border(plan), method, device=self.device)
+    def placed(self, plan: Plan, planes, places, lights, zoom: float = 1.0):
+        """Planes where the lens and the view put them.
+
+        places: see `places`. lights: see `lights`. zoom: of the view.
+        """
+        device, border = self.device, self._border(plan)
+        if plan.distortion is not None and plan.distortion.method == "area":
+            return distort(planes, places, self._seen(plan), border, "area", zoom**2, device=device)
+        light = planes if lights is None else integrate(planes, lights.astype(np.float32), device=device)
+        return distort(planes, places, self._seen(plan), border, light=light, device=device)
 
     @staticmethod
     def _seen(plan):
@@ -134,7 +155,10 @@ class Imaging:
         if planes is not None:
             return planes
         planes = self.planes(plan.table, self.stored(plan.content, self.window(plan)))
-        return self.placed(plan, planes, self.places(plan, plan.scene.view)) if plan.is_placed else planes
+        if not plan.is_placed:
+            return planes
+        view = plan.scene.view
+        return self.placed(plan, planes, self.places(plan, view), self.lights(plan), view.zoom)
 
     def _blurred(self, plan, planes):
         """The channels at the scene's samples; spare ones around them where pixels are made of several."""

@@ -28,8 +28,8 @@ def bytes_needed(plan: Plan, device: Device) -> int:
     planes = len(content.entry_spectra) if plan.table is None else len(plan.table)
     if plan.table is not None:
         total += 4 * planes * samples
-    if plan.is_placed:
-        total += 4 * planes * samples
+    if plan.is_placed:  # and the channels' light, itself and with what is around it, and two maps of it
+        total += 4 * (planes + (1 if plan.mix is None else 2) * len(plan.weights) + 2) * samples
     if plan.mix is not None:
         total += _tables(plan) + _blur(plan, device, planes, content.shape)
     if plan.far is not None:

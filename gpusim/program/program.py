@@ -271,8 +271,10 @@ class Program:
         imaging, kept, view = self.simulator.imaging, self.before.kept, self.scene.view
         places = kept("places", (view, plan.distortion, plan.scene.samples, plan.mix is None),
                       lambda: imaging.places(plan, view))
-        return kept(name, (kept.one(planes), kept.one(places), plan.scene.border), lambda: imaging.placed(
-            plan, planes, places))
+        lights = imaging.lights(plan)
+        zoom = view.zoom if plan.distortion is not None and plan.distortion.method == "area" else 1.0
+        return kept(name, (kept.one(planes), kept.one(places), plan.scene.border, lights, zoom),
+                    lambda: imaging.placed(plan, planes, places, lights, zoom))
 
     def _rates(self, plan, planes):
         """Electrons per second, with their mosaic."""

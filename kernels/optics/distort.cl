@@ -101,7 +101,6 @@ __kernel void cubic(
     for (int p = 0; p < PLANES; ++p) out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * total[p];
 }
 
-#ifdef SPAN
 float mean_clamped(const float t0, const float t1)  // mean of clamp(t, 0, 1) over t between t0 and t1
 {
     // (difference of the antiderivatives) / (t1 - t0), arranged so that nothing cancels when t1 is close to t0
@@ -120,6 +119,121 @@ float below(const float y0, const float x0, const float y1, const float x1)
     return (b - a) * mean_clamped(y0 + t0 * (y1 - y0), y0 + t1 * (y1 - y0));
 }
 
+// How much of the samples next to a cell, outside of it, its interpolants take before they fall below 0: the least ratio
+// of what weighs in and what weighs against, at nine places in it; 1 - 2 (1 - ratio) of it, or all from a ratio of 1 on.
+__kernel void rooms(
+    // in:
+    __global const float *restrict light,  // [channels][rows + 3][cols + 3], 3 samples around the frame's
+    // out:
+    __global float *restrict room,         // [rows][cols], of cells
+    // sizes:
+    const int channels, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    GUARD(x >= cols || y >= rows)
+    const int pitch = cols + 3;
+    float least = 1.0f;
+    for (int c = 0; c < channels; ++c) {
+        __global const float *at = light + ((size_t)c * (rows + 3) + y) * pitch + x;
+        float4 r[4];
+#pragma unroll
+        for (int k = 0; k < 4; ++k) r[k] = fmax(vload4(0, at + k * pitch), 0.0f);
+#pragma unroll
+        for (int v = 0; v < 3; ++v) {
+            const float4 wy = fabs(keys(0.3f + 0.2f * v));
+            const float4 in = wy.y * r[1] + wy.z * r[2], out = wy.x * r[0] + wy.w * r[3];
+#pragma unroll
+            for (int u = 0; u < 3; ++u) {
+                const float4 wx = fabs(keys(0.3f + 0.2f * u));
+                const float with = wx.y * in.y + wx.z * in.z + (wx.x * out.x + wx.w * out.w);
+                const float against = wx.y * out.y + wx.z * out.z + (wx.x * in.x + wx.w * in.w);
+                if (against > with) least = fmin(least, fmax(2.0f * (with / against) - 1.0f, 0.0f));
+            }
+        }
+    }
+    room[y * cols + x] = least;
+}
+
+// Share of every sample that is interpolated by cubics: as much as the cells allow where its weight is negative.
+__kernel void shares(
+    // in:
+    __global const float *restrict room,  // [rows + 3][cols + 3]
+    // out:
+    __global float *restrict share,       // [rows][cols]
+    // sizes:
+    const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    GUARD(x >= cols || y >= rows)
+    const int pitch = cols + 3;
+    __global const float *at = room + (size_t)y * pitch + x;
+    const float down = fmin(fmin(at[1], at[2]), fmin(at[3 * pitch + 1], at[3 * pitch + 2]));
+    const float across = fmin(fmin(at[pitch], at[2 * pitch]), fmin(at[pitch + 3], at[2 * pitch + 3]));
+    share[y * cols + x] = fmin(down, across);
+}
+
+// As `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes.
+__kernel void limited(
+    // in:
+    __global const float *restrict planes, __global const float *restrict lines, __global const float *restrict share,
+    // out:
+    __global float *restrict out,
+    // sizes:
+    const int source_rows, const int source_cols, const int nx, const int maps, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), m = get_global_id(2);
+    GUARD(x >= cols || y >= rows || m >= maps)
+    __global const float *line = lines + ((size_t)m * (2 * rows + 1) + 2 * y) * nx * 3;
+    const float3 at = place(line + 3 * nx, 2 * x + 1, nx, cols);
+    const float floor_y = floor(at.x), floor_x = floor(at.y);
+    const int first_y = y + (int)floor_y - 1, first_x = x + (int)floor_x - 1;
+    const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
+    const float in_y[4] = {wy.x, wy.y, wy.z, wy.w}, in_x[4] = {wx.x, wx.y, wx.z, wx.w};
+    float w[16], rest[16], least = 1.0f;
+    int from[16];
+#pragma unroll
+    for (int k = 0; k < 16; ++k) {
+        const int at_y = first_y + k / 4, at_x = first_x + k % 4;
+        const int sy = inside(at_y, source_rows, BORDER), sx = inside(at_x, source_cols, BORDER);
+        const int dropped = BORDER == 0 && (sy != at_y || sx != at_x);
+        from[k] = sy * source_cols + sx;
+        const float part = share[from[k]];
+        least = fmin(least, part);
+        w[k] = dropped ? 0.0f : at.z * in_y[k / 4] * in_x[k % 4] * part;
+        rest[k] = dropped ? 0.0f : 1.0f - part;
+    }
+    if (least < 1.0f) {  // rarely
+        const float3 c00 = place(line, 2 * x, nx, cols);
+        const float3 c10 = place(line + 6 * nx, 2 * x, nx, cols);
+        const float3 c11 = place(line + 6 * nx, 2 * x + 2, nx, cols);
+        const float3 c01 = place(line, 2 * x + 2, nx, cols);
+        // corners from the first sample
+        const float y00 = c00.x - floor_y + 1.0f, y10 = c10.x - floor_y + 2.0f;
+        const float y11 = c11.x - floor_y + 2.0f, y01 = c01.x - floor_y + 1.0f;
+        const float x00 = c00.y - floor_x + 1.0f, x10 = c10.y - floor_x + 1.0f;
+        const float x11 = c11.y - floor_x + 2.0f, x01 = c01.y - floor_x + 2.0f;
+        float overlaps[16], whole = 0.0f;
+        for (int k = 0; k < 16; ++k) {
+            const float a = k / 4, b = k % 4;
+            const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
+                                + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
+            overlaps[k] = fmax(overlap, 0.0f);
+            whole += overlaps[k];
+        }
+        const float per = at.z / whole;
+        for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
+    }
+#pragma unroll
+    for (int p = 0; p < PLANES; ++p) {
+        __global const float *plane = planes + (size_t)(m * PLANES + p) * source_rows * source_cols;
+        float total = 0.0f;
+#pragma unroll
+        for (int k = 0; k < 16; ++k) total += w[k] * plane[from[k]];
+        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = total;
+    }
+}
+
+#ifdef SPAN
 __kernel void area(
     // in:
     __global const float *restrict planes, __global const float *restrict lines,

@@ -1,7 +1,8 @@
 """Geometric resampling that conserves flux: distortion and lateral colour.
 
 Ports: planes (planes, source_rows, source_cols) float32, grids (1 or planes, ny, nx, 3) float32
--> distorted (planes, rows, cols) float32 of the planes' unit (energy per area).
+[, light (channels, source_rows, source_cols) float32] -> distorted (planes, rows, cols) float32 of the planes' unit
+(energy per area).
 
 A grid divides the frame evenly, its outermost nodes on the frame's edges (half a pixel beyond the outermost pixels'
 indices). Each node holds what to add to a pixel's row and column for its place among the source samples, and the flux
@@ -9,7 +10,11 @@ factor J, source area over pixel area (physical areas). Between nodes the values
 four nearest nodes there are. Two methods:
 
     "cubic"  J(p) times the Keys cubic interpolant of the source at the pixel's place: sharp; flux conserved as far as
-             the source is smooth on the scale of a pixel (and it aliases beyond two source samples per pixel);
+             the source is smooth on the scale of a pixel (and it aliases beyond two source samples per pixel).
+             The cubic's weights next to a bright sample are negative. Given `light`, only as much of each sample is
+             interpolated as its negative weights leave the interpolant above 0, in every channel; the
+             rest of it goes by area, as bright as J says. A star in the dark keeps its energy then, and nothing is
+             below 0;
     "area"   the integral of the source, constant within each sample, over the quadrilateral that is imaged onto the
              pixel, times `density` (source sample's area over pixel's area): never negative, and neighbours share their
              corners, so that every source sample's energy arrives exactly once.
@@ -17,17 +22,19 @@ four nearest nodes there are. Two methods:
 
 import numpy as np
 
-from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.kernels.stage import Case, stage
 
 
 @stage
-def distort(device, planes, grids, shape, border, method="cubic", density=1.0):
+def distort(device, planes, grids, shape, border, method="cubic", density=1.0, light=None):
     """Resample every plane through the inverse mapping of `grids`.
 
     planes: shape (planes, source_rows, source_cols). grids: shape (1 or planes, ny, nx, 3), ny and nx
     at least 4. shape: (rows, cols) of the result. border: "zero", "edge" or "reflect" (the
     outermost sample is repeated), for places outside the source. density: see above; the method "cubic" has it in J.
+    light: of the source in each channel, of any unit, for the method "cubic" of up to two samples per pixel; None: it
+    may fall below 0.
     Returns shape (planes, rows, cols). Source: Keys, IEEE Trans. ASSP 29 (1981) for the cubic; the area method is the
     drizzle of Fruchter and Hook, PASP 114 (2002) at full pixel size, read backwards.
     """
@@ -38,19 +45,33 @@ def distort(device, planes, grids, shape, border, method="cubic", density=1.0):
     out = device.empty((count, *shape))
     if method not in ("cubic", "area"):
         raise ValueError(f'method {method!r}: "cubic" or "area"')
-    border, per_map, sizes = BORDERS[border], count // maps, (source_rows, source_cols, nx, maps, *shape)
+    per_map, sizes = count // maps, (source_rows, source_cols, nx, maps, *shape)
     lines = device.empty((maps, 2 * shape[0] + 1, 3 * nx))
-    defines = {"PLANES": per_map, "BORDER": border}
+    defines = {"PLANES": per_map, "BORDER": BORDERS[border]}
     device.launch("optics.distort", "along_columns", lines.shape, device.reshape(grids, (maps, ny, 3 * nx)), lines,
                   maps, ny, 3 * nx, shape[0], defines=defines)
-    if method == "cubic":
+    if method == "cubic" and light is not None:
+        device.launch("optics.distort", "limited", (maps, *shape), planes, lines, _shares(device, light, border), out,
+                      *(() if device.kind == "opencl" else (BORDERS[border], per_map)), *sizes, defines=defines)
+    elif method == "cubic":
         device.launch("optics.distort", "cubic", (maps, *shape), planes, lines, out,
-                      *(() if device.kind == "opencl" else (border, per_map)), *sizes, defines=defines)
+                      *(() if device.kind == "opencl" else (BORDERS[border], per_map)), *sizes, defines=defines)
     else:
         device.launch("optics.distort", "area", (maps, *shape), planes, lines, out, float(density),
-                      *(() if device.kind == "opencl" else (span, border, per_map)), *sizes,
+                      *(() if device.kind == "opencl" else (span, BORDERS[border], per_map)), *sizes,
                       defines={**defines, "SPAN": span})
     return out
+
+
+def _shares(device, light, border):
+    """Part of every sample that cubics may interpolate, (rows, cols)."""
+    light = device.array(light)
+    channels, rows, cols = light.shape
+    around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
+    room, share, defines = device.empty((rows + 3, cols + 3)), device.empty((rows, cols)), {"PLANES": 1, "BORDER": 0}
+    device.launch("optics.distort", "rooms", room.shape, around, room, channels, *room.shape, defines=defines)
+    device.launch("optics.distort", "shares", share.shape, room, share, rows, cols, defines=defines)
+    return share
 
 
 def _span(grids, shape):
@@ -83,8 +104,21 @@ def _barrel(shape, strength, turn=0.0):
 
 
 def cases():
-    """Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one pixel."""
+    """Both methods and all borders: barrel, pincushion, turned, minified three times, own grids, one pixel; stars."""
     random = np.random.default_rng(8)
+    for rows, cols, maps, strength, turn, border in (
+            (1, 1, 1, 0.0, 0.0, "zero"), (3, 5, 1, 0.05, 0.0, "edge"), (63, 65, 3, 0.1, 0.0, "zero"),
+            (40, 200, 1, -0.1, 0.3, "reflect"), (63, 65, 1, 0.1, 0.8, "edge")):
+        grids = np.stack([grid_of((rows, cols), 16, _barrel((rows, cols), strength * (1 + 0.05 * m), turn))
+                          for m in range(maps)])
+        planes = random.random((3, rows, cols)) ** 8  # 12 : 1 and more between neighbours
+        planes[:, rows // 3 :, cols // 2 :] += 1
+        planes[:, : rows // 3] *= random.random((rows // 3, cols)) > 0.9
+        far = float(np.abs(grids[..., :2]).max())
+        yield Case(f"stars, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
+                   {"planes": planes.astype(np.float32), "grids": grids, "shape": (rows, cols), "border": border,
+                    "light": planes[:2].astype(np.float32)}, 4e-6 + 4e-7 * far * 4,
+                   "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more")
     for rows, cols, planes, maps, strength, turn, step, border, method in (
             (1, 1, 1, 1, 0.0, 0.0, 4, "edge", "cubic"), (3, 5, 2, 1, 0.05, 0.0, 4, "zero", "area"),
             (63, 65, 3, 3, 0.1, 0.0, 16, "reflect", "cubic"), (63, 65, 3, 3, -0.1, 0.0, 16, "edge", "area"),

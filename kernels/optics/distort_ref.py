@@ -65,11 +65,16 @@ def _clip(polygons, axis, low):
     return points
 
 
-def _area(plane, grid, shape, border, density):
+def _quads(grid, shape):
+    """Corners of every pixel among the samples, sample i from i to i + 1: (rows, cols, 4, 2)."""
     rows, cols = np.arange(shape[0] + 1) - 0.5, np.arange(shape[1] + 1) - 0.5
     v, u, _ = _lagrange(grid, shape, rows, cols)
     corners = np.stack([v + rows[:, None], u + cols], axis=-1) + 0.5  # sample i covers i .. i + 1
-    quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-2)
+    return np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-2)
+
+
+def _area(plane, grid, shape, border, density):
+    quads = _quads(grid, shape)
     first = np.floor(quads.min(axis=-2)).astype(int)
     size = int((np.ceil(quads.max(axis=-2)) - first).max())
     padded, top, left = _pad(plane, border, first[..., 0], first[..., 1], size)
@@ -86,9 +91,32 @@ def _area(plane, grid, shape, border, density):
     return density * total
 
 
-def distort(planes, grids, shape, border, method="cubic", density=1.0):
+def _share(light, border):
+    """Part of every sample that cubics may interpolate, (rows, cols): the least over the channels."""
+    (rows, cols), room, weights = light.shape[1:], 1.0, _keys(np.subtract.outer([0.3, 0.5, 0.7], [-1, 0, 1, 2]))
+    for plane in np.pad(np.asarray(light, np.float64), [(0, 0), (3, 3), (3, 3)], mode=MODES[border]):
+        near = np.lib.stride_tricks.sliding_window_view(np.maximum(plane, 0), (4, 4))  # of every cell
+        parts = np.einsum("vi,uj,yxij->yxvuij", weights, weights, near)
+        above, below = (np.clip(sign * parts, 0, None).sum(axis=(4, 5)) for sign in (1, -1))
+        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(axis=(2, 3))
+        room = np.minimum(room, np.clip(2 * ratio - 1, 0, 1))
+    around = ((0, 1), (0, 2), (3, 1), (3, 2), (1, 0), (2, 0), (1, 3), (2, 3))  # cells where weights are negative
+    return np.min([room[y : y + rows, x : x + cols] for y, x in around], axis=0)
+
+
+def distort(planes, grids, shape, border, method="cubic", density=1.0, light=None):
     """See the contract."""
     per_map = len(planes) // len(grids)
+    if light is not None and method == "cubic":
+        share = _share(np.asarray(light), border)
+        means = distort(planes * (1 - share), grids, shape, border, "area")
+        for k in range(len(planes)):  # of what the areas hold, as bright as J says
+            quads, flux = _quads(grids[k // per_map], shape), _lagrange(grids[k // per_map], shape,
+                                                                       *map(np.arange, shape))[2]
+            after = np.roll(quads, -1, axis=-2)
+            area = np.sum(quads[..., 0] * after[..., 1] - quads[..., 1] * after[..., 0], axis=-1) / 2
+            means[k] *= flux / np.abs(area)
+        return distort(planes * share, grids, shape, border) + means
     out = np.empty((len(planes), *shape))
     for k, plane in enumerate(planes):
         grid = grids[k // per_map]

@@ -182,3 +182,129 @@ def area(
             if overlap > 0.0 and (border != 0 or (sy == first_y + i and sx == first_x + j)):
                 for p in range(m * per_map, (m + 1) * per_map):
                     out[p, y, x] = out[p, y, x] + density * overlap * planes[p, sy, sx]
+
+
+@wp.kernel
+def rooms(
+    # in:
+    light: wp.array3d[float],
+    # out:
+    room: wp.array2d[float],
+    # sizes:
+    channels: int,
+    rows: int,
+    cols: int,
+):
+    # how much of the samples next to a cell, outside of it, its interpolants take before they fall below 0
+    y, x = wp.tid()
+    least = float(1.0)
+    for c in range(channels):
+        for v in range(3):
+            wy = keys(0.3 + 0.2 * float(v))
+            for u in range(3):
+                wx = keys(0.3 + 0.2 * float(u))
+                with_it = float(0.0)
+                against = float(0.0)
+                for i in range(4):
+                    for j in range(4):
+                        part = wy[i] * wx[j] * wp.max(light[c, y + i, x + j], 0.0)
+                        with_it += wp.max(part, 0.0)
+                        against -= wp.min(part, 0.0)
+                if against > with_it:
+                    least = wp.min(least, wp.max(2.0 * (with_it / against) - 1.0, 0.0))
+    room[y, x] = least
+
+
+@wp.kernel
+def shares(
+    # in:
+    room: wp.array2d[float],
+    # out:
+    share: wp.array2d[float],
+    # sizes:
+    rows: int,
+    cols: int,
+):
+    # as much of each sample as the cells allow where its weight is negative
+    y, x = wp.tid()
+    down = wp.min(wp.min(room[y, x + 1], room[y, x + 2]), wp.min(room[y + 3, x + 1], room[y + 3, x + 2]))
+    across = wp.min(wp.min(room[y + 1, x], room[y + 2, x]), wp.min(room[y + 1, x + 3], room[y + 2, x + 3]))
+    share[y, x] = wp.min(down, across)
+
+
+@wp.func
+def overlap(c00: wp.vec3, c10: wp.vec3, c11: wp.vec3, c01: wp.vec3, v: float, u: float):
+    # area of the pixel's quadrilateral within a sample; v, u: from it to where the corners are counted from
+    y00 = c00[0] - v
+    y10 = c10[0] + 1.0 - v
+    y11 = c11[0] + 1.0 - v
+    y01 = c01[0] - v
+    x00 = c00[1] - u
+    x10 = c10[1] - u
+    x11 = c11[1] + 1.0 - u
+    x01 = c01[1] + 1.0 - u
+    total = below(y00, x00, y10, x10) + below(y10, x10, y11, x11)
+    total += below(y11, x11, y01, x01) + below(y01, x01, y00, x00)
+    return wp.max(total, 0.0)
+
+
+@wp.kernel
+def limited(
+    # in:
+    planes: wp.array3d[float],
+    lines: wp.array3d[float],
+    share: wp.array2d[float],
+    # out:
+    out: wp.array3d[float],
+    # params:
+    border: int,
+    per_map: int,
+    # sizes:
+    source_rows: int,
+    source_cols: int,
+    nx: int,
+    maps: int,
+    rows: int,
+    cols: int,
+):
+    # as `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes
+    m, y, x = wp.tid()
+    at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
+    from_y = wp.floor(at[0]) - 1.0
+    from_x = wp.floor(at[1]) - 1.0
+    first_y = y + int(from_y)
+    first_x = x + int(from_x)
+    wy = keys(at[0] - from_y - 1.0)
+    wx = keys(at[1] - from_x - 1.0)
+    least = float(1.0)
+    for i in range(4):
+        sy = inside(first_y + i, source_rows, border)
+        for j in range(4):
+            least = wp.min(least, share[sy, inside(first_x + j, source_cols, border)])
+    c00 = at
+    c10 = at
+    c11 = at
+    c01 = at
+    whole = float(0.0)
+    if least < 1.0:
+        c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
+        c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
+        c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
+        c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
+        for i in range(4):
+            for j in range(4):
+                whole += overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+    for p in range(m * per_map, (m + 1) * per_map):
+        out[p, y, x] = 0.0
+    for i in range(4):
+        sy = inside(first_y + i, source_rows, border)
+        for j in range(4):
+            sx = inside(first_x + j, source_cols, border)
+            if border != 0 or (sy == first_y + i and sx == first_x + j):
+                part = share[sy, sx]
+                w = at[2] * wy[i] * wx[j] * part
+                if part < 1.0:
+                    area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+                    w += at[2] * area_of / whole * (1.0 - part)
+                for p in range(m * per_map, (m + 1) * per_map):
+                    out[p, y, x] = out[p, y, x] + w * planes[p, sy, sx]

@@ -208,7 +208,7 @@ def test_falloff_of_lens_and_microlenses(device):
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("model", ["diffraction", "none"])
 def test_light_beside_an_edge_is_not_negative(device, model):
-    """The cubic overshoots by up to 7 % beside a step; bright squares on black and a dark world have many."""
+    """Cubics overshoot by 7 % next to a step, before any blur; bright squares on black have many. Float32: 1e-6."""
     camera = open_camera("phone")
     optics = replace(camera.optics, model=model, f_number=1.2, distortion=RadialPolynomial(-0.12, 0.02, 1e-3))
     y, x = np.indices((64, 64)) // 8
@@ -219,7 +219,7 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     plan = simulate.plan(scene)
     assert plan.distortion.method == "cubic"
     before = np.array(simulate.device.numpy(simulate.imaging.light(plan)))
-    assert before.min() < -0.01 * before.max()  # the overshoot that the scene has
+    assert before.min() >= -1e-6 * before.max()
     assert mean.min() >= 0
     assert mean.max() > 0
 
