@@ -112,8 +112,7 @@ class Account:
             words += f" (times {SAFETY:g} to be sure), most of it {by}: {shares[by]:.2g}"
             return Verdict("not met", words, by, remedy)
         if self.unknown:
-            return Verdict("not judged", words, self.unknown[0], "a larger frame would be met" if (
-                self.unknown == (self.doubt,)) else "", self.unknown)
+            return Verdict("not judged", words, self.unknown[0], unknown=self.unknown)
         return Verdict("met", words, by)
 
 

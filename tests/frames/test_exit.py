@@ -47,7 +47,7 @@ def ended(end, device):
 
 
 @pytest.mark.parametrize("device", [name for name in KINDS if name != "warp:cpu"])  # which has nothing pending
-@pytest.mark.parametrize("end", ["plain", "a device that is dropped"])
+@pytest.mark.parametrize("end", ["plain", "a thread that nobody waits for", "a device that is dropped"])
 def test_a_process_ends_while_its_device_works(end, device):
     status, message = ended(end, device)
     assert status == ENDS[end][1], message

@@ -51,7 +51,7 @@ def test_batches_refuse_negative_light(kind, wrong):
 
 
 def test_batches_refuse_negative_light_of_torch():
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="torch is not installed")
     pictures = torch.ones(1, 3, 8, 8, requires_grad=True)
     with pytest.raises(gs.GpusimError, match="0 or more"):
         gs.Batch(gs.open_camera("phone"), device="numpy")(pictures - 2)
