@@ -36,8 +36,10 @@ def band_limited(planes, down, across, border):
     found, (wide, back) = [], few(wide)
     for plane in wide:
         spectrum = scipy.fft.rfft2(plane)
-        spectrum[rows // 2] = spectrum[:, half] = 0
-        fine[: rows // 2, : half + 1], fine[-(rows // 2) :, : half + 1] = spectrum[: rows // 2], spectrum[rows // 2 :]
+        spectrum[rows // 2] /= 2  # the shortest waves are half up and half down: samples keep their values
+        spectrum[:, half] /= 2
+        fine[: rows // 2 + 1, : half + 1], fine[-(rows // 2) :, : half + 1] = (
+            spectrum[: rows // 2 + 1], spectrum[rows // 2 :])
         values = scipy.fft.irfft2(fine, (FINER * rows, FINER * cols)) * FINER**2
         found.append(map_coordinates(spline_filter(values, 5, mode="grid-wrap"), places, order=5, mode="grid-wrap",
                                      prefilter=False))

@@ -90,20 +90,24 @@ def apertures(scene, camera):
     return width, tuple(float(one % 1) for one in first), [int(np.floor(one)) for one in first]
 
 
-def kernels(lens, wavelength, points, reach):
-    """Light that apertures get of a point at each of (y, x, distance), (2 reach + 1, 2 reach + 1), one by one."""
+def kernels(lens, wavelength, points, reach, width=None):
+    """Light that apertures get of a point at each of (y, x, distance), (2 reach + 1, 2 reach + 1), one by one.
+
+    width: of the apertures [sample], None: the camera's.
+    """
     scene, camera = lens.scene, lens.camera
     optics = camera.optics
-    width, phase, _ = apertures(scene, camera)
+    own, phase, _ = apertures(scene, camera)
+    width = width or own
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     q = lens.q(wavelength)
     at, fine = brute.fine_grid(q, reach)
     extra = brute.Spread(q, apart=tuple(one / pitch for one in optics.birefringence), diffused=optics.diffuser / pitch)
     waves = [lens.waves(wavelength, *point) for point in points]
-    own = optics.wavefront
-    if not (optics.pupil.blades or optics.varies or own.zernike):  # round
+    front = optics.wavefront
+    if not (optics.pupil.blades or optics.varies or front.zernike):  # round
         u, of = np.array([0.0, 0.5, 1.0]), waves[0]
-        w040 = own.seidel[0] * own.reference / wavelength
+        w040 = front.seidel[0] * front.reference / wavelength
         round_ = brute.Spread(q, float(of(u, 0 * u)[2] - w040), w040, optics.pupil.obscuration)
         values = brute.round_spread(round_, reach + 4 + 2 / q)(np.hypot(at[:, None], at))
         yield brute.apertured(values, fine, reach, width, phase, extra)

@@ -272,17 +272,26 @@ class Spread:
         if key not in self.lens.known:
             places = [(*point, distance) for point in self.points]
             self.lens.known[key] = list(measured_kernels(self.lens, self.wavelength, self.points, reach) if measured
-                                        else kernels(self.lens, self.wavelength, places, reach))
+                                        else self._even(places))
         made = self.lens.known[key]
         size = [scipy.fft.next_fast_len(n + 2 * reach, real=True) for n in world.shape]
         total, beyond, alone = 0.0, [], tail(self.lens, self.wavelength, reach)
         for kernel, share in zip(made, self.shares, strict=True):
-            own = kernel if self.is_whole else kernel / (kernel.sum() + alone)
+            own = kernel / kernel.sum() if measured and not self.is_whole else kernel
             beyond.append(1 - own.sum())
             total = total + scipy.fft.rfft2(world * share, size) * scipy.fft.rfft2(own, size)
-        if self.is_whole and alone:  # all light that is not near is afar
+        if alone:  # all light that is not near is afar
             self.excess = float(np.clip(np.mean(beyond) / alone, 0, 20))
         return scipy.fft.irfft2(total, size)[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
+
+    def _even(self, places):
+        """Kernels that keep a flat field, whose pixels with gaps would get uneven shares below a q of 1."""
+        made = list(kernels(self.lens, self.wavelength, places, self.reach))
+        if self.is_whole or self.lens.q(self.wavelength) >= 1:
+            return made
+        ratio = float(self.lens.scene.samples_per_pixel)  # what is beyond the reach is alike with gaps and without
+        whole = kernels(self.lens, self.wavelength, places, self.reach, (ratio, ratio))
+        return [own / (own.sum() + 1 - all_.sum()) for own, all_ in zip(made, whole, strict=True)]
 
 
 def composed(spread, sheets, afar):

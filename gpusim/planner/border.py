@@ -31,7 +31,9 @@ PROBED = 128  # samples along an axis at which it is predicted
 # A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
 # picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
 POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
-SPIKY = 10.0  # maximum over root mean square from which on a blur changes the latter
+# A blur changes the root mean square of a frame whose maximum is so many times that, or that is small, or whose
+# neighbours are less alike: mean product over mean square
+SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
 FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
 WINDOWS, WINDOW, INNER = 12, 128, 48  # their number; samples of a side, and of that of the part that stands for others
 FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
@@ -105,26 +107,36 @@ def _between(count, places):
         for cell in np.eye(count)], axis=1))
 
 
-def seen_light(image, deviation: float, margin: int) -> tuple[float, float]:
+def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
     """Root mean square and maximum of the frame as a lens shows it.
 
-    deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample].
+    deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample]. border: the scene's.
     """
     inside = _inside(image, margin)
     level, highest = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size), inside.max(initial=0)
-    if highest <= SPIKY * level or not deviation:
+    is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
+    if is_smooth or not deviation or not level > 0:
         return float(level), float(highest)
-    blurred = _shown(inside, deviation)
+    blurred = _shown(inside, deviation, "constant" if border == "zero" else "reflect")
     return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
 
 
-def _shown(image, deviation):
-    """The image blurred by a Gaussian and integrated over pixels: a point gives no pixel more than a lens does."""
+def _likeness(image):
+    """Mean product of neighbours along some rows and columns, the least of both, over the mean square."""
+    some = image[:: image.shape[0] // PROBED + 1], image.T[:: image.shape[1] // PROBED + 1]
+    return min(float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300)) for lines in some)
+
+
+def _shown(image, deviation, mode):
+    """The image blurred by a Gaussian and integrated over pixels: a point gives no pixel more than a lens does.
+
+    mode: of `scipy.ndimage`, for what is around it.
+    """
     edges = np.arange(ceil(4 * deviation) + 1) + 0.5
     inside = scipy.special.erf(edges / (sqrt(2) * deviation))
     half = np.diff(inside) / 2
     weights = np.concatenate([half[::-1], inside[:1], half]) / inside[-1]
-    return scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(image, weights, 0), weights, 1)
+    return scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(image, weights, 0, mode=mode), weights, 1, mode=mode)
 
 
 def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:

@@ -11,10 +11,12 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.view import View
 
-STEPS = (64, 32, 16, 8, 4, 2)  # [pixel] between nodes, at most
+STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
+AIM, MOST_CELLS = 1e-4, 128  # error of places and fluxes that is small enough; cells along an axis for it, at most
 PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis, the worst of which has its largest errors
+LEAST_LOBES = 4.5  # of brightest over darkest of 4 x 4 samples: cubics stay above 0 below it (81 / 18 at the middle)
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -25,14 +27,16 @@ class DistortionGrid:
     nodes: shape (ny, nx, 3): what to add to a pixel's (row, column) index for its place among the source samples, and
         the flux factor, ideal area over distorted area. The nodes divide the frame evenly, the outermost lie on its
         edges; the stage interpolates with cubic Lagrange polynomials.
-    error: largest distance [source sample] and relative error of the flux factor of that interpolation,
-        measured between the nodes. ratio: smallest and largest source samples per pixel along any direction, beyond
-        `RATIO_TO_REPORT` of which only area weighting does not alias. reach: source samples beyond the edge of the
-        source frame that the frame sees (0 where the source is large enough).
+    error: largest distance [source sample] and relative error of the flux factor of that interpolation, measured
+        between the nodes. typical: root mean squares of the same.
+    ratio: smallest and largest source samples per pixel along any direction, beyond `RATIO_TO_REPORT` of which only
+        area weighting does not alias. reach: source samples beyond the edge of the source frame that the frame sees (0
+        where the source is large enough).
     """
 
     nodes: np.ndarray
     error: tuple[float, float]
+    typical: tuple[float, float]
     ratio: tuple[float, float]
     reach: float
 
@@ -56,8 +60,9 @@ def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_p
     """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
 
     source_shape, source_pitch: samples of the undistorted image, centred as well; the same as the frame by default.
-    tolerance: largest error of the interpolated positions [source sample] that is asked for; the coarsest grid that
-    keeps it is chosen. Raises OutOfRange for a distortion that cannot be inverted over the frame, or not so well.
+    tolerance: largest error of the interpolated positions [source sample] that is allowed. The coarsest grid that errs
+    by at most AIM is chosen, but none finer than MOST_CELLS or than the tolerance needs. Raises OutOfRange for a
+    distortion that cannot be inverted over the frame, or not so well.
     """
     source_shape, source_pitch = source_shape or shape, source_pitch or pitch
 
@@ -83,16 +88,18 @@ def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_p
         values, ratio = places(*edges)
         between, _ = places(*((edge[1:] + edge[:-1]) / 2 for edge in edges))  # about where cubics err most
         middle = np.einsum("yi,xj,ijk->yxk", *map(_half_way, cells), values, optimize=True)
-        off = np.abs(middle - between)
-        error = float(off[..., :2].max()), float((off[..., 2] / between[..., 2]).max())
-        if error[0] <= tolerance:
+        moved = np.hypot(middle[..., 0] - between[..., 0], middle[..., 1] - between[..., 1])
+        wrong = moved, np.abs(middle[..., 2] / between[..., 2] - 1)
+        error = float(wrong[0].max()), float(wrong[1].max())
+        if max(error) <= AIM or (error[0] <= tolerance and 2 * max(cells) > MOST_CELLS):
             break
-    else:
+    if error[0] > tolerance:
         raise OutOfRange("distortion", f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
                          f"at most {tolerance:g}")
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
-    return DistortionGrid(values, error, ratio, float(reach))
+    typical = tuple(float(np.sqrt(np.mean(one**2))) for one in wrong)
+    return DistortionGrid(values, error, typical, ratio, float(reach))
 
 
 def view_nodes(view: View, distortion: DistortionGrid | None, shape, source_shape, ratio: float) -> np.ndarray:
@@ -127,6 +134,29 @@ def interpolation_error(fy: np.ndarray, fx: np.ndarray, phases: np.ndarray | Non
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
     square = np.einsum("ab,af,bg->fg", phases, np.abs(along_y) ** 2, np.abs(along_x) ** 2, optimize=True)
     return np.maximum(square - 2 * np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True).real + 1, 0)
+
+
+def interpolated_share(light: np.ndarray) -> np.ndarray:
+    """Return the part of each sample that `optics.distort` interpolates by cubics, (rows, cols), from 0 to 1.
+
+    light: of every channel, (C, rows, cols), not negative. The outermost three samples are 1. Near a bright sample the
+    negative weights of a cubic may not outweigh the positive ones, so the rest of it goes by area.
+    """
+    places, room = np.array([0.3, 0.5, 0.7]), np.ones(np.array(light.shape[1:]) - 3, np.float32)
+    near = np.abs(places[:, None] - np.arange(-1, 3))
+    weights = np.where(near <= 1, (1.5 * near - 2.5) * near**2 + 1, ((-0.5 * near + 2.5) * near - 4) * near + 2)
+    both = np.einsum("vi,uj->ijvu", weights, weights).reshape(16, -1)
+    for plane in light:
+        cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4)).reshape(-1, 16)
+        rough = np.flatnonzero(cells.max(axis=1) > LEAST_LOBES * cells.min(axis=1))
+        above, below = (cells[rough] @ np.maximum(sign * both, 0).astype(np.float32) for sign in (1, -1))
+        ratio = np.divide(above, below, where=below > above, out=np.ones_like(above)).min(axis=1, initial=1.0)
+        room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
+    share = np.ones(light.shape[1:], np.float32)
+    inside = share[3:-3, 3:-3]
+    for y, x in ((0, 1), (0, 2), (3, 1), (3, 2), (1, 0), (2, 0), (1, 3), (2, 3)):  # cells of negative weights
+        np.minimum(inside, room[y : y + inside.shape[0], x : x + inside.shape[1]], out=inside)
+    return share
 
 
 def _interpolated_waves(f, width):

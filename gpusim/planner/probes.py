@@ -4,18 +4,19 @@ A plan leaves out part of what the lens does to the spectra. In a window that er
 the window's own spectra. A transform repeats a window; its rim, where that is seen, does not count.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.fft
+import scipy.ndimage
 
 from gpusim.domain.account import Bound
 from gpusim.domain.view import View
 from gpusim.planner.border import border_indices
 from gpusim.planner.facts import Facts
 from gpusim.planner.fusion import SAMPLED_PERIOD, in_range
-from gpusim.planner.geometry import interpolation_error
+from gpusim.planner.geometry import interpolated_share, interpolation_error
 from gpusim.planner.windows import Windows, quantile
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
@@ -120,6 +121,11 @@ class Probes:
         return float(np.quantile(self._sigma, 0.01)), float(self._sigma.min())
 
     @cached_property
+    def sharp(self) -> "Probes":
+        """The same windows through a lens without blur."""
+        return replace(self, tables=np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
+
+    @cached_property
     def unblurred(self) -> Bound:
         """The error of leaving the blur out."""
         return self.bound(_mixed(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact)
@@ -136,17 +142,44 @@ class Probes:
     def resampled(self, view: View, ratio: float) -> Bound:
         """The error of a picture that is interpolated where a view looks, or one like it. ratio: samples per pixel.
 
-        In the mean over all places between samples: a view by half a sample errs 1.3 times as much.
+        In the mean over all places between samples: a view by half a sample errs 1.4 times as much.
         """
-        return Bound() if view.is_whole(ratio) else self.interpolated()
+        if view.is_whole(ratio):
+            return Bound()
+        return (self if view.zoom == 1 else self._magnified(view.zoom)).interpolated()
+
+    def _magnified(self, zoom: float) -> "Probes":
+        """The same windows where the lens blurs a magnified picture: waves of f cycles per sample as f / zoom."""
+        places = np.meshgrid(np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij")
+        tables = [scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap") for one in self.tables]
+        return replace(self, tables=np.stack(tables))
 
     def interpolated(self, phases=None, width: float | None = None) -> Bound:
         """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
 
         Between samples the truth is the wave of each frequency that runs through them.
         """
-        square = interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, width)
-        return self.bound(self.exact * np.sqrt(square).astype(np.float32))
+        wrong = [np.sqrt(interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, one)).astype(
+            np.float32) for one in ((None, 1.0) if width is None else (width,))]
+        if width is not None or not np.any(self.uninterpolated):
+            return self.bound(self.exact * wrong[0])
+        return self.bound((self.exact - self.uninterpolated) * wrong[0] + self.uninterpolated * wrong[1])
+
+    @cached_property
+    def uninterpolated(self) -> np.ndarray:
+        """Transforms of the light that `optics.distort` takes by area, as `exact`.
+
+        Cubics would fall below 0 next to it.
+        """
+        means = (self.means @ self.weights.T)[..., None, None]
+        light = np.maximum(scipy.fft.irfft2(_mixed(self.weights, self.spectra), (SIDE, SIDE)) + means, 0)
+        left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
+        for n, share in enumerate(left):
+            if share.any():
+                planes = scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
+                part = scipy.fft.rfft2((planes * share).astype(np.float32))
+                found[n] = _mixed(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+        return found
 
     def between(self, step: float, path: float) -> Bound:
         """The error of light that moves, taken as linear between instants: see `gpusim.captures.moving`.
@@ -177,6 +210,11 @@ class Probes:
         size, (low, least) = self._size * self.seconds * rms, self._least_sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / low), float(5 * size / least))
+
+    def brightened(self, share: float) -> Bound:
+        """The error of a picture that is brighter by this share everywhere."""
+        sigma = share * self.signal * self.seconds / self._sigma
+        return Bound(share, quantile(sigma, self.windows.weight[:, None] * self.share, 0.999), float(sigma.max()))
 
     def fused(self, table, transfers):
         """Bounds of the first n planes for each n from the number of channels on.

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY, UNKNOWN, total
+from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.calibration import Calibration
 from gpusim.planner.geometry import DistortionGrid, distortion_grid, place_phases
 from gpusim.planner.notes import Notes
@@ -17,7 +18,7 @@ NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 
 def viewed(question: Question, probes: Probes, notes: Notes):
     """Say that the frame is a view of the scene, and what its interpolation errs."""
-    notes.bounds["view"] = probes.resampled(question.scene.view, question.ratio)
+    notes.bounds["view"] = _with_rim(question, probes, lambda seen: seen.resampled(question.scene.view, question.ratio))
     notes.models["optics.distort"] = ("a view of the scene, interpolated by cubics: displaced, turned or magnified as "
                                       "each frame says")
 
@@ -32,11 +33,30 @@ def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -
         return None
     seen = question.size if question.is_blurred else question.scene.samples
     made = distortion_grid(distortion, seen, question.pitch, question.size)
+    notes.bounds["distortion grid"] = _between_nodes(made, told())
     if question.scene.view.is_whole(question.ratio):  # else it is an error of the view, whose places are anywhere
         width = sum(made.ratio) / 2 if made.method == "area" else None
-        everywhere, worst = (told().interpolated(phases, width) for phases in place_phases(made, seen))
+        everywhere, worst = (_with_rim(question, told(), lambda probes, of=phases: probes.interpolated(of, width))
+                             for phases in place_phases(made, seen))
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made
+
+
+def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Bound]) -> Bound:
+    """The error of interpolated samples, and of the outermost ones that the border repeats: no blur evens that out."""
+    bound = error(probes)
+    if question.scene.border == "zero" or not question.deviation:
+        return bound
+    return total([bound, error(probes.sharp).times(min(1.0, 2 * question.deviation / min(question.scene.samples)))])
+
+
+def _between_nodes(made: DistortionGrid, probes: Probes) -> Bound:
+    """The error of places and fluxes between the nodes of a grid."""
+    (move, flux), (most, largest) = made.typical, made.error
+    usual, worst = probes.moved(move), probes.moved(most)
+    bright, brightest = probes.brightened(flux), probes.brightened(largest)
+    return Bound(hypot(usual.rms, bright.rms), *(hypot(getattr(worst, name), getattr(brightest, name))
+                                                 for name in ("p999_sigma", "max_sigma")))
 
 
 def distorted(question: Question, made: DistortionGrid | None, probes: Probes | None, notes: Notes):
@@ -50,9 +70,10 @@ def distorted(question: Question, made: DistortionGrid | None, probes: Probes | 
     if probes is not None and move < NEGLIGIBLE:
         assert question.tolerance is not None
         bound = probes.moved(move)
-        others = [one for name, one in notes.bounds.items() if name != "distortion"]
+        others = [one for name, one in notes.bounds.items() if name not in ("distortion", "distortion grid")]
         if SAFETY * total([*others, bound]).ratio(question.tolerance) <= 1:
             notes.bounds.pop("distortion", None)
+            notes.bounds.pop("distortion grid")
             notes.leave_out(f"distortion by up to {move:.2g} of a sample", bound, "distortion left out")
             return None
     seen_by = notes.models.get("optics.distort")

@@ -74,8 +74,8 @@ class Picture:
 
 def whole(question: Question) -> Picture:
     """The picture with its highlights."""
-    brightness = question.facts.brightness(question.light)
-    return Picture(brightness, *seen_light(brightness, question.deviation, question.scene.margin), None)
+    brightness, scene = question.facts.brightness(question.light), question.scene
+    return Picture(brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None)
 
 
 def split(question: Question) -> tuple[Question, Picture]:
