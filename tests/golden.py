@@ -1,8 +1,8 @@
 """Digests of what gpusim makes of some sixty questions, to see that a change of the code changes no bit of a frame.
 
 `python tests/golden.py --out FILE` stores the digests of the gpusim that is imported. `python tests/golden.py --against
-REF` makes those of another commit on the same machine, and of this one, and lists what differs. Bits of floats depend on
-the processor and the driver, so that digests are only compared within one run or on one machine.
+REF` makes those of another commit on the same machine, and of this one, and lists what differs. Bits of floats depend
+on the processor and the driver, so that digests are only compared within one run or on one machine.
 """
 
 import argparse
