@@ -9,6 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile
+from gpusim.domain.leftovers import remove_leftovers
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import read_text
 
@@ -29,8 +30,10 @@ def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
     """While a video is made: its manifest is there, or is the one that was there.
 
     made: plain data. outputs: what to remove for a video that begins anew. is_empty: whether nothing was written: a
-    manifest that is new then goes again when the work fails. Raises BadFile where it is another video's.
+    manifest that is new then goes again when the work fails. Temporary files that killed processes left in its folder
+    are removed. Raises BadFile where it is another video's.
     """
+    remove_leftovers(path.parent)
     is_new = not path.exists()
     _keep(path, json.loads(json.dumps(made)), outputs)
     try:
