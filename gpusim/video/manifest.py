@@ -67,6 +67,7 @@ def _keep(path, made, outputs):
         named = [name for one in others for name in (
             [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
             if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
+        _plans_in(found)
     except (ValueError, AttributeError, RecursionError) as error:  # RecursionError: of JSON, lists in lists
         raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
     if others:
@@ -99,9 +100,9 @@ class Plans:
     def write(self):
         """Put them into the manifest, if it is still there. Raises BadFile."""
         self._written = time.monotonic()
-        with _alone(self._path.parent), suppress(FileNotFoundError, ValueError):
+        with _alone(self._path.parent), suppress(FileNotFoundError, ValueError, RecursionError):
             made = json.loads(self._path.read_text(encoding="utf-8"))
-            others = made.get("plans", {})
+            others = _plans_in(made)
             plans = others | {name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()}
             if plans != others:
                 with atomic_path(self._path) as temporary:
@@ -111,6 +112,16 @@ class Plans:
         names = list(self.runs)
         some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
         return f"plan{'s' if len(names) > 1 else ''} {some}"
+
+
+def _plans_in(made):
+    """Return the runs of a manifest's plans by their names. Raises ValueError for anything else."""
+    plans = made.get("plans", {}) if isinstance(made, dict) else None
+    if not isinstance(plans, dict) or not all(
+            isinstance(runs, list) and all(isinstance(run, list) and [*map(type, run)] == [int, int] for run in runs)
+            for runs in plans.values()):
+        raise ValueError("plans that are no runs of frames")
+    return plans
 
 
 def _joined(runs):
