@@ -129,6 +129,14 @@ def test_numbers_that_are_none_make_no_second_line(tmp_path, text):
         open_scene(tmp_path / "a.csv")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_weights_that_are_no_numbers_make_no_second_line(tmp_path):
+    arrays = fuzz.good_archives("table")[0]
+    path = archive(tmp_path / "a.npz", **arrays | {"contrast_0": np.full(7, np.nan)})
+    with refused("a.npz", error=BadFile):
+        read_table(path)
+
+
 def large(folder, name):
     """A whole file of 750,000 to 3,000,000 pixels, and options of `open_scene` for it."""
     import cv2
