@@ -13,6 +13,7 @@ import pytest
 from gpusim.domain import leftovers
 from gpusim.domain.leftovers import remove_leftovers, temporary_name
 from gpusim.io.atomic import atomic_path, check_output
+from gpusim.io.readers import scene_files
 from gpusim.video.manifest import kept
 
 WRITER = """
@@ -103,6 +104,13 @@ def test_a_process_that_nobody_may_signal_is_alive(tmp_path, monkeypatch):
     remove_leftovers(tmp_path)
     leftovers._place.cache_clear()
     assert len(os.listdir(tmp_path)) == 2
+
+
+def test_temporary_and_hidden_files_are_no_scenes(tmp_path):
+    for name in ("b.png", "a_2.PNG", temporary_name(".png"), "._b.png", "c.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "d.png").mkdir()
+    assert [path.name for path in scene_files(tmp_path)] == ["a_2.PNG", "b.png"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="there is no SIGKILL")
