@@ -461,7 +461,8 @@ def exposed(simulator, plan: Plan, mean, seconds: float, gain: float, kept: Kept
     shading = None
     if processor.shading:
         nodes = None if plan.distortion is None else plan.distortion.nodes
-        falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.binning, sensor.binning_mode)
+        falls = (plan.scene.shape, plan.slope, plan.falloff, nodes, sensor.cfa, sensor.stacked, sensor.binning,
+                 sensor.binning_mode)
         shading = simulator.kept("shading", falls, lambda: _shading(simulator, plan))
     colors = (plan.white_rate, plan.scene.illuminant, plan.scene.light_is_known, camera.optics, One(camera.sensor),
               without_tone(processor), camera.display, seconds, readout.pixels)
