@@ -197,17 +197,6 @@ CALIBRATIONS = [text.encode() for text in (
     '"distortion_coefficients": [0.1, 0.2, 0, 0, 0]}')]
 
 
-def good_profile(random):
-    """Bytes of a DNG's like: a mosaic with levels and a noise profile of three planes."""
-    import tifffile
-
-    buffer = io.BytesIO()
-    tifffile.imwrite(buffer, random.integers(0, 1024, (8, 8), np.uint16), photometric="cfa", metadata=None, extratags=[
-        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50714, "H", 1, 64, True),
-        (50717, "H", 1, 1023, True), (51041, "d", 6, (1e-3, 1e-6) * 3, True)])
-    return buffer.getvalue()
-
-
 class Inputs:
     """The mutated files of one reader."""
 
@@ -220,7 +209,7 @@ class Inputs:
         elif reader in JSON:
             self.good = json_mutations.good(reader)
         elif reader == "profile":
-            self.good = [good_profile(np.random.default_rng(7))]
+            self.good = [picture_mutations.good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
             self.good = mat_mutations.good(reader)
         elif reader in ("exr", "png", "jpg", "tiff", "planes"):
@@ -326,8 +315,7 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
            "slowest_s": 0.0, "slowest": None, "unaccounted_mib": 0.0}
     with tempfile.TemporaryDirectory() as folder, estimates() as asked:
         inputs, (path, read) = Inputs(reader, Path(folder)), reading(reader, Path(folder))
-        peak = 0
-        longest, unaccounted = LONGEST, UNACCOUNTED
+        peak, longest, unaccounted = 0, LONGEST, UNACCOUNTED
         if reader == "fields":
             longest, unaccounted = PICTURE * LONGEST, 32 * UNACCOUNTED
         for data in inputs.good:
