@@ -8,6 +8,7 @@ import signal
 import sys
 
 INTERRUPTED, FAILED = 2, 2  # exit statuses; that of another signal is 128 + its number, as shells have it
+GONE = 128 + 13  # the reader of our output has gone, as `head` does: SIGPIPE's
 
 
 def start() -> int:
@@ -31,12 +32,13 @@ def start() -> int:
 
 
 def _run():
-    """Run the command with a standard output that may be closed, full or without some letters."""
+    """Run the command with standard streams that may be closed, full, without a reader or without some letters."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:  # it was closed: what is written there goes nowhere
             # the lowest free number, which is the closed one's: no file that is opened later takes its place
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))
-    for stream in (sys.stdout, sys.stderr):
+    sys.stdout, sys.stderr = out, _ = _Output(sys.stdout), _Messages(sys.stderr)  # type: ignore[assignment]
+    for stream in (out, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         try:
@@ -45,26 +47,52 @@ def _run():
             status = main()
         except SystemExit as stop:  # argparse's, after --help
             status = stop.code
-        sys.stdout.flush()
-        return status
-    except OSError as error:
-        if _takes_more():
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere as Python ends
-        if isinstance(error, BrokenPipeError):  # the reader of our output has gone, as `head` does
-            return 0
-        print(f"gpusim: standard output cannot be written: {error.strerror}", file=sys.stderr)
-        return FAILED
-
-
-def _takes_more():
-    """Whether standard output takes another line: then it was something else that failed."""
-    try:
-        print()
-        sys.stdout.flush()
+        out.flush()
     except OSError:
-        return False
-    return True
+        if out.failure is None:
+            raise
+    if out.failure is None:
+        return status
+    os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # what is left goes nowhere as Python ends
+    if isinstance(out.failure, BrokenPipeError):
+        return GONE
+    print(f"gpusim: standard output cannot be written: {out.failure.strerror}", file=sys.stderr)
+    return FAILED
+
+
+class _Output:
+    """Standard output, whose first failure is kept: argparse, for one, says nothing of it."""
+
+    failure: OSError | None = None
+
+    def __init__(self, stream):
+        self._stream = stream
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+    def write(self, text):
+        return self._do(self._stream.write, text)
+
+    def flush(self):
+        self._do(self._stream.flush)
+
+    def _do(self, work, *text):
+        try:
+            return work(*text)
+        except OSError as error:
+            self.failure = self.failure or error
+            raise
+
+
+class _Messages(_Output):
+    """Standard error: a message that nobody can read stops no work."""
+
+    def _do(self, work, *text):
+        try:
+            return work(*text)
+        except OSError:
+            return len(*text) if text else None
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import instrument_files
+import json_mutations
 import mat_mutations
 import mutations
 import numpy as np
@@ -40,21 +41,25 @@ from gpusim.l3.layout import layout
 
 SEEDS = (1, 2, 3)  # of the kept runs
 READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile",
-           "mat", "mat73", "envi", "array", "spectra", "listing")
+           "mat", "mat73", "envi", "array", "spectra", "listing", "link", "fields", "manifest", "sheet")
+JSON = READERS[-4:]
 WAVES = np.array([400.0, 500.0, 650.0])
 SUFFIXES = {"camera": ".toml", "exr": ".exr", "png": ".png", "jpg": ".jpg", "tiff": ".tif", "planes": ".tif",
             "calibration": ".yaml", "profile": ".dng", "mat": ".mat", "mat73": ".mat", "envi": ".envi", "array": ".npy",
-            "spectra": ".csv", "listing": ".txt"}  # others read .npz
+            "spectra": ".csv", "listing": ".txt"} | dict.fromkeys(JSON, ".json")  # others read .npz
 READ = {"camera": open_camera, "psf": read_psf, "table": read_table, "calibration": read_calibration,
         "profile": read_noise_profile, "planes": lambda path: open_scene(path, wavelengths=WAVES),
         "array": lambda path: open_scene(path, wavelengths=WAVES),
-        "spectra": lambda path: open_scene(path, size=(60, 40))}  # others open scenes
+        "spectra": lambda path: open_scene(path, size=(60, 40)), "link": json_mutations.read_link,
+        "fields": json_mutations.read_fields, "manifest": json_mutations.read_manifest,
+        "sheet": json_mutations.read_sheet}  # others open scenes
 MUTATE = {"curves": mutations.table, "calibration": mutations.yaml, "png": picture_mutations.png,
           "jpg": picture_mutations.jpeg, "exr": picture_mutations.exr, "tiff": picture_mutations.tiff,
           "planes": picture_mutations.tiff, "profile": picture_mutations.tiff,
           "mat": mat_mutations.version_5, "mat73": mat_mutations.version_7_3,
           "envi": instrument_files.envi, "array": instrument_files.array, "spectra": mutations.table,
-          "listing": instrument_files.listing}  # others see Inputs.make
+          "listing": instrument_files.listing, "fields": json_mutations.fields, "manifest": json_mutations.manifest,
+          "link": json_mutations.changed, "sheet": json_mutations.changed}  # others see Inputs.make
 INSTRUMENTS = {"envi": instrument_files.envi_files, "array": instrument_files.array_files,
                "spectra": lambda: instrument_files.TABLES, "listing": instrument_files.listings}
 PEAK = Path("/proc/self/clear_refs")
@@ -62,6 +67,7 @@ LONGEST = 5.0  # [s] for one input
 ROOM = 2**30  # [byte] of addresses that the process may have beside those of its modules: RLIMIT_AS
 LARGEST = 256 * 2**20  # [byte] that the whole process may hold: 60 MiB of modules, and inputs of 10 MB as they unfold
 UNACCOUNTED = 16 * 2**20  # [byte] that one input may take beside twice what its reader asked for: what libraries load
+PICTURE = 6  # times as long, and 32 times as much beside estimates, for a whole frame
 LONGEST_MESSAGE = 500
 
 
@@ -191,17 +197,6 @@ CALIBRATIONS = [text.encode() for text in (
     '"distortion_coefficients": [0.1, 0.2, 0, 0, 0]}')]
 
 
-def good_profile(random):
-    """Bytes of a DNG's like: a mosaic with levels and a noise profile of three planes."""
-    import tifffile
-
-    buffer = io.BytesIO()
-    tifffile.imwrite(buffer, random.integers(0, 1024, (8, 8), np.uint16), photometric="cfa", metadata=None, extratags=[
-        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50714, "H", 1, 64, True),
-        (50717, "H", 1, 1023, True), (51041, "d", 6, (1e-3, 1e-6) * 3, True)])
-    return buffer.getvalue()
-
-
 class Inputs:
     """The mutated files of one reader."""
 
@@ -211,8 +206,10 @@ class Inputs:
             self.good, self.lines = good_texts(reader)
         elif reader in INSTRUMENTS:
             self.good = INSTRUMENTS[reader]()
+        elif reader in JSON:
+            self.good = json_mutations.good(reader)
         elif reader == "profile":
-            self.good = [good_profile(np.random.default_rng(7))]
+            self.good = [picture_mutations.good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
             self.good = mat_mutations.good(reader)
         elif reader in ("exr", "png", "jpg", "tiff", "planes"):
@@ -227,7 +224,7 @@ class Inputs:
     def make(self, seed, number) -> bytes:
         random = np.random.default_rng((seed, READERS.index(self.reader), number))
         data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
-        if random.random() < 0.3:
+        if random.random() < 0.3 and self.reader not in ("fields", "sheet"):  # which nobody reads as bytes
             return mutations.damaged(data, other, random)
         if self.arrays:
             return mutations.archive(mutations.pick(random, self.arrays), random)
@@ -318,7 +315,9 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
            "slowest_s": 0.0, "slowest": None, "unaccounted_mib": 0.0}
     with tempfile.TemporaryDirectory() as folder, estimates() as asked:
         inputs, (path, read) = Inputs(reader, Path(folder)), reading(reader, Path(folder))
-        peak = 0
+        peak, longest, unaccounted = 0, LONGEST, UNACCOUNTED
+        if reader == "fields":
+            longest, unaccounted = PICTURE * LONGEST, 32 * UNACCOUNTED
         for data in inputs.good:
             path.write_bytes(data)
             try:
@@ -346,12 +345,12 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
             row["mutated"] += 1
             if took > row["slowest_s"]:
                 row |= {"slowest_s": round(took, 3), "slowest": number}
-            if took > LONGEST:
+            if took > longest:
                 problem = problem or f"took {took:.1f} s"
             taken = memory("VmHWM") - held
             peak = max(peak, held + taken)
             row["unaccounted_mib"] = max(row["unaccounted_mib"], round((taken - 2 * sum(asked)) / 2**20, 1))
-            if taken > 2 * sum(asked) + UNACCOUNTED:
+            if taken > 2 * sum(asked) + unaccounted:
                 problem = problem or f"took {taken / 2**20:.0f} MiB, asked for {sum(asked) / 2**20:.1f}"
             if problem:
                 row["wrong"] += 1
@@ -390,6 +389,7 @@ def main():
     parser.add_argument("--keep", help="folder in which inputs are kept")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    warnings.simplefilter("error", RuntimeWarning)  # of NumPy: a second line
     for reader in arguments.reader or READERS:
         fuzz(reader, arguments.seed, 0, 0)  # modules are loaded before memory is limited
         limit_memory()

@@ -40,7 +40,7 @@ def damaged(data: bytes, other: bytes, random) -> bytes:
             begin = int(random.integers(len(other) or 1))
             data[start:start + length] = other[begin:begin + length]
         else:
-            del data[start:]
+            del data[pick(random, (start, max(size - int(random.integers(1, 65)), 0))):]
     return bytes(data)
 
 

@@ -1,9 +1,11 @@
 """Damaged pictures made from good ones: chunks, segments, directories and headers that say something else."""
 
+import io
 import math
 import struct
 import zlib
 
+import numpy as np
 from mutations import WORDS, damaged, pick
 
 # ---- PNG and JPEG
@@ -188,3 +190,14 @@ def _channels(attribute, random):
             entry[1] = entry[1][:8] + struct.pack("<II", pick(random, (0, 1, 2, 2**31)), pick(random, (0, 1, 2, 7)))
     entries.sort()
     attribute[2] = b"".join(name + b"\0" + rest for name, rest in entries) + b"\0"
+
+
+def good_profile(random):
+    """Bytes of a DNG's like: a mosaic with levels and a noise profile of three planes."""
+    import tifffile
+
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, random.integers(0, 1024, (8, 8), np.uint16), photometric="cfa", metadata=None, extratags=[
+        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50714, "H", 1, 64, True),
+        (50717, "H", 1, 1023, True), (51041, "d", 6, (1e-3, 1e-6) * 3, True)])
+    return buffer.getvalue()

@@ -17,23 +17,29 @@ from contextlib import suppress
 from pathlib import Path
 
 from gpusim.domain.errors import DeviceError
+from gpusim.domain.leftovers import PREFIX, remove_leftovers, temporary_name
 
 ELF_TABLE = slice(40, 48), slice(58, 62)  # of the header: where the section table begins; its entries' size and count
 ROOM = 2**25  # [byte] that must be free: what is compiled for a few cameras takes half of it
 LARGEST = 2**21  # [byte] that one file must be able to take, by a quota or a limit
 SUMS = "gpusim-sums.json"  # beside the files of a program
-CHANGING = SUMS, "last_accessed"  # beginnings of names of what is written without being built
+CHANGING = SUMS, PREFIX, "last_accessed"  # beginnings of names of what is written without being built
 log = logging.getLogger(__name__)
 
 
 def lent_folder() -> Path:
-    """An empty folder that goes with the process. Raises DeviceError if no folder for temporary files has room."""
+    """Return an empty folder that goes with the process; those of killed processes go, too.
+
+    Raises DeviceError if no folder for temporary files has room.
+    """
     places = ["/dev/shm", "/var/tmp"]
     with suppress(OSError):  # it tries to write
         places.insert(0, tempfile.gettempdir())
     for place in filter(os.path.isdir, places):
         with suppress(OSError):
-            folder = Path(tempfile.mkdtemp(prefix="gpusim-", dir=place))
+            remove_leftovers(place)
+            folder = Path(place, temporary_name())
+            folder.mkdir(0o700)
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
             if has_room(folder):
                 return folder
@@ -118,7 +124,8 @@ def note(program: Path):
                 checksum = _checksum(program / name)
                 if name not in noted or noted[name][1] == checksum:
                     sums[name] = [state, checksum]
-        temporary = program / f"{SUMS}.{os.getpid()}"
+        remove_leftovers(program)
+        temporary = program / temporary_name(".json")
         try:
             temporary.write_text(json.dumps(sums))
             temporary.replace(program / SUMS)

@@ -39,6 +39,7 @@ def write_table(path, table: FilterTable):
         np.savez_compressed(file, **arrays)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # of damaged files; what is then no number is refused
 def read_table(path) -> FilterTable:
     """Read a table. Raises BadFile and DoesNotFit."""
     with open_archive(path) as stored, named(path):

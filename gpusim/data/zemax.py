@@ -91,6 +91,8 @@ def _values(path, text, rows, cols):
     words = text.split()
     if len(words) != rows * cols:
         raise BadData(f"{len(words)} values, {rows} x {cols} were announced; is it truncated?")
+    if not text[-1].isspace() and len(set(map(len, words))) > 1:  # OpticStudio's are all of one length
+        raise BadData(f"no line ends after the last value, {shown(words[-1])}; is it truncated?")
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():

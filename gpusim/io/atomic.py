@@ -2,18 +2,22 @@
 
 import os
 import stat
-import uuid
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile
+from gpusim.domain.leftovers import remove_leftovers, remove_leftovers_once, temporary_name
 
 
 def check_output(path):
-    """Raise BadFile unless a file of this name can be written: an empty one is made beside it. None is no output."""
+    """Raise BadFile unless a file of this name can be written: an empty one is made beside it. None is no output.
+
+    Temporary files that killed processes left in the folder are removed.
+    """
     if path is not None:
         with _writing(path) as temporary:
             temporary.touch(exist_ok=False)
+            remove_leftovers(temporary.parent)
 
 
 @contextmanager
@@ -38,7 +42,8 @@ def _writing(path):
             raise BadFile(path, f"is {kind}; wanted the name of a file")
         if not path.absolute().parent.is_dir():
             raise BadFile(path, f"the folder {path.absolute().parent} does not exist")
-        temporary = path.with_name(f".gpusim-{uuid.uuid4().hex[:8]}{path.suffix[:8]}")  # no longer than names may be
+        remove_leftovers_once(path.absolute().parent)
+        temporary = path.with_name(temporary_name(path.suffix[:8]))  # no longer than names may be
         try:
             yield temporary
         finally:

@@ -1,7 +1,8 @@
 """MATLAB's files: variables by name, each read when it is asked for.
 
 Version 5 (`save` with -v6 or -v7) is read here, version 7.3, which is HDF5, by `gpusim.io.mat_hdf5`. Source: MathWorks,
-MAT-File Format (R2019b). Nothing that a file declares is taken before the bytes for it are known to be there.
+MAT-File Format (R2019b). Nothing that a file declares is taken before the bytes for it are known to be there. A file of
+version 5 does not say how many variables it has: one that is cut off between two of them reads as one with fewer.
 """
 
 import math
@@ -96,12 +97,18 @@ def open_mat(path) -> Iterator[Value]:
             if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
                 root = _Root(path, file, head)
         if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
-            yield root
+            yield _filled(root)
             return
     from gpusim.io.mat_hdf5 import open_hdf5
 
     with open_hdf5(path) as variables:
-        yield variables
+        yield _filled(variables)
+
+
+def _filled(root):
+    if not root.names:
+        raise BadFile(root.path, "holds no variables; is it truncated?")
+    return root
 
 
 class _Root(Value):
@@ -122,6 +129,8 @@ class _Root(Value):
             if len(self.places) > MOST_NAMES:
                 raise BadFile(path, f"more than {MOST_NAMES} variables")
             start += 8 + length
+        if start != self.size:
+            raise BadFile(path, f"truncated or damaged at byte {start}: {self.size - start} bytes left, no variable")
         super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
 
     def _field(self, name):

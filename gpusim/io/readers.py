@@ -186,3 +186,9 @@ READERS = {".exr": Reader(_exr, ("bands", "ray", "no_depth")), ".npz": Reader(_n
            ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False)}
 SUFFIXES = tuple(READERS)
 IN_FOLDERS = tuple(suffix for suffix, reader in READERS.items() if reader.in_folders)
+
+
+def scene_files(folder: Path) -> list[Path]:
+    """Return a folder's scene files in the order of their names; hidden ones, such as temporary files, are none."""
+    return sorted(path for path in folder.iterdir()
+                  if path.suffix.lower() in IN_FOLDERS and not path.name.startswith(".") and path.is_file())

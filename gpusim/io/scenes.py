@@ -26,6 +26,7 @@ from gpusim.io.scene_exr import write_scene_exr
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances of which the light is not known
 
 
+@np.errstate(divide="ignore", over="ignore", invalid="ignore")  # of damaged files; what is then no number is refused
 def open_scene(name_or_path, *, size=None, light=None, luminance=None, bands=None, border=None, fov=None,
                samples_per_pixel=None, depth="axis", wavelengths=None, kind=None, scale=None) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.

@@ -55,7 +55,7 @@ def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
 
 def train(folders, path):
     """Write the table trained on all .png photographs of some folders; half of each folder's come with seed 1, 2."""
-    pictures = [sorted(Path(folder).glob("*.png")) for folder in folders]
+    pictures = [sorted(Path(folder).glob("[!.]*.png")) for folder in folders]
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     for half in (0, 1):
         some = (_rgb(file) for files in pictures for file in files[half::2])

@@ -118,13 +118,13 @@ def _counted(samples, bar, states):
 
 def _photographs(arguments):
     """Files that are given, those of folders in the order of their names. Raises BadFile."""
-    from gpusim.io.readers import IN_FOLDERS
+    from gpusim.io.readers import IN_FOLDERS, scene_files
 
     found = []
     for name in map(Path, arguments.scene):
         inside = [name]
         if name.is_dir():
-            inside = sorted(path for path in name.iterdir() if path.suffix.lower() in IN_FOLDERS)
+            inside = scene_files(name)
         if not inside:
             raise BadFile(name, f"no scene files in it; wanted {', '.join(IN_FOLDERS)}")
         found += inside

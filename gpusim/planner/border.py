@@ -182,6 +182,8 @@ class Outside:
     around: int = 0
     rays: tuple[float, ...] = ()
     straight: float = 0.0
+    deviation: float = 0.0
+    is_moved: bool = False
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -280,7 +282,17 @@ class Outside:
         beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
         y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
         local = light[y].mean(axis=1)[:, x].mean(axis=2)
+        if self.border == "zero" and self.is_moved:
+            local = local * 0
+        elif self.border == "zero" and self.deviation:  # a lens mixes the black world in
+            local = local * np.multiply.outer(*(_inner_share(at, n, self.deviation)
+                                                for at, n in zip((rows, cols), light.shape, strict=True)))
         return rows, cols, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
+
+
+def _inner_share(at, n, deviation):
+    """Part of a Gaussian about each place that lies within n samples."""
+    return np.diff(scipy.special.ndtr((np.array([[-0.5], [n - 0.5]]) - at) / deviation), axis=0)[0]
 
 
 def most_reach(shape, longest: int) -> int:

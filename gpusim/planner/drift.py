@@ -30,6 +30,7 @@ WRONG_ROWS, FEW = 8, 5  # of B: of 31 wavelengths the next eigenvalue is below 3
 ALL_ROWS = 16  # of both, that `spectral.survey` takes: operators of more planes have all of them
 SHORTEST = 1e-6  # of the longest row of F, below which one is none
 ROUNDING = 1e-6  # of squares that are summed in float32
+EXPONENT = 120  # of factors, which are powers of two that float32 holds
 FLAT_ROWS = 8  # of F: all of them, for sensors of up to so many channels
 
 
@@ -43,7 +44,7 @@ class Watch:
     beside: |R^1/2 P| and |R^1/2 Q|, over the coefficients, too. first: upper rows of the pairs to survey, int32 (n,).
     inputs: planes from spectra, which the plan's table gives from entries, shape (planes, L). factor: of the error, as
     probes of the plan's scene told it. falls: what of the square of each row of B one plane more leaves, two more ...,
-    shape (up to 15,) each.
+    shape (up to 15,) each. scale: of the content and of its projections, as `spectral.survey` takes it.
     """
 
     flat: np.ndarray
@@ -56,6 +57,7 @@ class Watch:
     inputs: np.ndarray
     factor: float = 1.0
     falls: tuple = ()
+    scale: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
     def of(cls, response: Response, table, transfers, content: Content, shape=None) -> "Watch":
@@ -89,15 +91,28 @@ class Watch:
         nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
         return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
+    def scaled(self, content: Content) -> "Watch":
+        """The same for a content in host memory and others up to 1e15 times as bright, whose squares float32 holds."""
+        unit, of_table = (2.0 ** -float(np.clip(np.frexp(largest)[1], -EXPONENT, EXPONENT)) for largest in (
+            np.abs(content.planes).max(initial=0), np.abs(self.table).max(initial=0)))
+        return replace(self, scale=(unit, unit * of_table))
+
+    def _unscaled(self, survey):
+        """What `spectral.survey` gave, in the content's own units, float64."""
+        units = np.full(np.shape(survey)[-1], self.scale[1])
+        units[-1] = self.scale[0]
+        return np.asarray(survey, np.float64) / units**2
+
     def errors(self, survey) -> tuple[float, float]:
         """Relative root mean square error of the mosaic's electrons, predicted from what `spectral.survey` gave.
 
         survey: shape (n, 3, P + 1). As `Response.error` gives it for the moments over the same rows, or larger: with
-        the most that R can give; 0 without a signal. NaN where the
-        content has NaN: compare so that it fails. Then the same of the pair of rows where it is largest, over the
-        signal of all.
+        the most that R can give; 0 without a signal. NaN where the content has NaN, or squares beyond float32: compare
+        so that it fails. Then the same of the pair of rows where it is largest, over the signal of all.
         """
-        found, signals = np.asarray(survey, np.float64), len(self.flat)
+        found, signals = self._unscaled(survey), len(self.flat)
+        if not np.isfinite(found).all():
+            return np.nan, np.nan
         signal = found[:, 0, :signals].sum() / len(found)
         if signal == 0:
             return 0.0, 0.0
@@ -125,7 +140,7 @@ class Watch:
         A guess, which the next survey checks: differences are taken as independent along the rows of B, and what these
         leave out is none.
         """
-        values, across, down = np.asarray(survey, np.float64).mean(0)
+        values, across, down = self._unscaled(survey).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (limit / self.factor) ** 2 * values[:signals].sum()
         return 1 + next((more for more, fall in enumerate(self.falls) if fall @ differences[signals:-1] <= allowed),

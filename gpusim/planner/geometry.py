@@ -98,7 +98,7 @@ def distortion_grid(distortion: Model, shape, pitch, source_shape=None, source_p
                          f"at most {tolerance:g}")
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
-    typical = tuple(float(np.sqrt(np.mean(one**2))) for one in wrong)
+    typical = float(np.sqrt(np.mean(wrong[0]**2))), float(np.sqrt(np.mean(wrong[1]**2)))
     return DistortionGrid(values, error, typical, ratio, float(reach))
 
 

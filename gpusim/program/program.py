@@ -352,9 +352,9 @@ class Program:
         device, automatic = simulator.device, simulator.camera.sensor.auto_exposure
         light = kept("light", (kept.one(mean), automatic), lambda: light_of(simulator, mean))
         if plan.watch is not None and plan.scene is not self.scene and self._given is None:
-            first, table, (entries, ids) = plan.watch.first, plan.watch.table, made.stored
+            watch, (entries, ids) = plan.watch, made.stored
             found = device.fetch(self.before.kept("survey", (made.samples, One(plan)), lambda: survey(
-                entries, table, first, ids, device=device)))
+                entries, watch.table, watch.first, ids, watch.scale, device=device)))
         self._pending = _Look(self.scene, plan, device.fetch(light), found, mean.shape, seconds)
 
     def judge(self) -> None:

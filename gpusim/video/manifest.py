@@ -9,6 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from gpusim.domain.errors import BadFile
+from gpusim.domain.leftovers import remove_leftovers
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import read_text
 
@@ -29,8 +30,10 @@ def kept(path: Path, made: dict, outputs: str, is_empty: Callable[[], bool]):
     """While a video is made: its manifest is there, or is the one that was there.
 
     made: plain data. outputs: what to remove for a video that begins anew. is_empty: whether nothing was written: a
-    manifest that is new then goes again when the work fails. Raises BadFile where it is another video's.
+    manifest that is new then goes again when the work fails. Temporary files that killed processes left in its folder
+    are removed. Raises BadFile where it is another video's.
     """
+    remove_leftovers(path.parent)
     is_new = not path.exists()
     _keep(path, json.loads(json.dumps(made)), outputs)
     try:
@@ -64,6 +67,7 @@ def _keep(path, made, outputs):
         named = [name for one in others for name in (
             [inner for inner in made[one] if found[one].get(inner) != made[one][inner]]
             if isinstance(made[one], dict) and isinstance(found.get(one), dict) else [one])]
+        _plans_in(found)
     except (ValueError, AttributeError, RecursionError) as error:  # RecursionError: of JSON, lists in lists
         raise BadFile(path, f"not a manifest of a video ({error}); remove it and {outputs}") from error
     if others:
@@ -96,9 +100,9 @@ class Plans:
     def write(self):
         """Put them into the manifest, if it is still there. Raises BadFile."""
         self._written = time.monotonic()
-        with _alone(self._path.parent), suppress(FileNotFoundError, ValueError):
+        with _alone(self._path.parent), suppress(FileNotFoundError, ValueError, RecursionError):
             made = json.loads(self._path.read_text(encoding="utf-8"))
-            others = made.get("plans", {})
+            others = _plans_in(made)
             plans = others | {name: _joined([*others.get(name, ()), *runs]) for name, runs in self.runs.items()}
             if plans != others:
                 with atomic_path(self._path) as temporary:
@@ -108,6 +112,16 @@ class Plans:
         names = list(self.runs)
         some = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
         return f"plan{'s' if len(names) > 1 else ''} {some}"
+
+
+def _plans_in(made):
+    """Return the runs of a manifest's plans by their names. Raises ValueError for anything else."""
+    plans = made.get("plans", {}) if isinstance(made, dict) else None
+    if not isinstance(plans, dict) or not all(
+            isinstance(runs, list) and all(isinstance(run, list) and [*map(type, run)] == [int, int] for run in runs)
+            for runs in plans.values()):
+        raise ValueError("plans that are no runs of frames")
+    return plans
 
 
 def _joined(runs):

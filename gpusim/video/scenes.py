@@ -12,7 +12,7 @@ from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene
-from gpusim.io.readers import IN_FOLDERS
+from gpusim.io.readers import IN_FOLDERS, scene_files
 
 NUMBERED = re.compile(r"(.*?)(\d+)", re.DOTALL)
 
@@ -102,7 +102,7 @@ def checked_size(scene: Scene, shape, name, first) -> Scene:
 def numbered_files(folder: Path) -> list[Path]:
     """Scene files of a folder in the order of their numbers. Raises BadFile where they are of two videos, or none."""
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IN_FOLDERS and path.is_file())
+        found = scene_files(folder)
     except OSError as error:
         raise BadFile(folder, f"cannot be read: {error.strerror or error}") from error
     if not found:

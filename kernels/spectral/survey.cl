@@ -45,15 +45,15 @@ INLINE void add_projections(
 
 INLINE void add_squares(
     __global const float *restrict upper, __global const float *restrict lower, const size_t frame, const int entries,
-    const int lanes, const int apart, real sums[3][BLOCK])
+    const int lanes, const int apart, const float unit, real sums[3][BLOCK])
 {
     real value = 0.0f, across = 0.0f, down = 0.0f;
     for (int e = 0; e < entries; ++e) {
         const real here = load(upper + e * frame, lanes);
         const real right = load(upper + e * frame + 1, apart) - here, below = load(lower + e * frame, lanes) - here;
-        value += here * here;
-        across += right * right;
-        down += below * below;
+        value += unit * here * (unit * here);
+        across += unit * right * (unit * right);
+        down += unit * below * (unit * below);
     }
     sums[0][0] += value;  // 0 beyond `lanes`
     sums[1][0] += kept(across, apart);
@@ -75,7 +75,7 @@ __kernel void mixed(
     // out:
     __global float *restrict out,            // [pairs][3][count + 1]
     // sizes:
-    const int entries, const int rows, const int cols, const int count)
+    const int entries, const int rows, const int cols, const int count, const float unit)
 {
     const int i = get_global_id(1), begin = get_global_id(0) * BLOCK, y = clamp(first[i], 0, rows - 1);
     const size_t frame = (size_t)rows * cols;
@@ -93,8 +93,10 @@ __kernel void mixed(
         add_projections(upper + x, lower + x, table, frame, entries, cols - x, cols - x - 1, rows_of, sums);
         MEANS(begin, min(BLOCK, count - begin));
     } else {
-        for (; x + WIDTH < cols; x += WIDTH) add_squares(upper + x, lower + x, frame, entries, WIDTH, WIDTH, sums);
-        add_squares(upper + x, lower + x, frame, entries, cols - x, cols - x - 1, sums);
+        for (; x + WIDTH < cols; x += WIDTH) {
+            add_squares(upper + x, lower + x, frame, entries, WIDTH, WIDTH, unit, sums);
+        }
+        add_squares(upper + x, lower + x, frame, entries, cols - x, cols - x - 1, unit, sums);
         MEANS(count, 1);
     }
 }
@@ -121,7 +123,7 @@ __kernel void labelled(
     // out:
     __global float *restrict out,            // [pairs][3][count + 1]
     // sizes:
-    const int entries, const int rows, const int cols, const int count)
+    const int entries, const int rows, const int cols, const int count, const float unit)
 {
     const int i = get_global_id(1), begin = get_global_id(0) * BLOCK, y = clamp(first[i], 0, rows - 1);
     const size_t upper = (size_t)y * cols, lower = (size_t)min(y + 1, rows - 1) * cols;
@@ -142,9 +144,10 @@ __kernel void labelled(
                 ((float *)&sums[2][b])[lane] += down * down;
             }
             if (begin >= count) {
-                ((float *)&sums[0][0])[lane] += shade * shade;
-                if (right != at) ((float *)&sums[1][0])[lane] += step_square(id, id_right, shade, shade_right);
-                ((float *)&sums[2][0])[lane] += step_square(id, id_below, shade, shade_below);
+                const float own = unit * shade;
+                ((float *)&sums[0][0])[lane] += own * own;
+                if (right != at) ((float *)&sums[1][0])[lane] += step_square(id, id_right, own, unit * shade_right);
+                ((float *)&sums[2][0])[lane] += step_square(id, id_below, own, unit * shade_below);
             }
         }
     if (begin < count)

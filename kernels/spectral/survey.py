@@ -1,7 +1,8 @@
 """Survey of a scene's spectra: mean squares of a few projections of its samples and of neighbours' differences.
 
 Ports: content (entries, rows, cols) float32 or float16, or shading (rows, cols) float32 with ids (rows, cols) uint16;
-table (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's.
+table (P, entries) float32 -> (pairs of rows, 3, P + 1) float32, the squares of the content's unit times the table's, of
+factors that keep them in float32's range.
 
 Projection p of a sample with the entries c_e is v_p = sum over e of table[p, e] c_e; a sample with an id has its
 shading as the entry of that number, and 0 in the others. Per pair of neighbouring rows there are the means over
@@ -10,9 +11,10 @@ shading as the entry of that number, and 0 in the others. Per pair of neighbouri
     1  its columns but one of the same for the difference to the right neighbour; 0 where there is one column
     2  the upper row       of the same for the difference to the row below; 0 where that is the last row itself
 
-with |c|^2 = sum over e of c_e^2 as number P, the last. They are p^T M p and the trace of moments M = E[c c^T], of which
-a plan's predicted error is made (`gpusim.planner.drift`), without the moments themselves. Differences are taken before
-projections, which a smooth picture would lose in rounding otherwise.
+with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the second. They are
+p^T M p and the trace of moments M = E[c c^T], of which a plan's predicted error is made (`gpusim.planner.drift`),
+without the moments themselves. Differences are taken before projections, which a smooth picture would lose in rounding
+otherwise.
 """
 
 import numpy as np
@@ -29,20 +31,24 @@ BLOCK = 4  # projections of a CPU's work-item: three sums of each, as vectors, a
 
 
 @stage
-def survey(device, content, table, first, ids=None):
+def survey(device, content, table, first, ids=None, scale=(1.0, 1.0)):
     """Mean squares of projections and of their differences, over pairs of rows.
 
     content: float32 or float16, shape (entries, rows, cols), samples of a cube or coefficients of a basis; with ids the
     shading, shape (rows, cols). table: finite, shape (P, entries), P at most 16. first: int32, shape (n,), upper rows,
-    clipped to the frame. ids: uint16, shape (rows, cols), each below the number of entries.
-    Returns shape (n, 3, P + 1). NaN stays NaN; the squares of projections beyond 1.8e19 are infinite, those of
-    projections below 1e-23 are 0.
+    clipped to the frame. ids: uint16, shape (rows, cols), each below the number of entries. scale: factors of the
+    content and of the projections, powers of two (others are rounded).
+    Returns shape (n, 3, P + 1). NaN stays NaN; the squares of what is then beyond 1.8e19 are infinite, of what is below
+    1e-23 they are 0. Light of 1e23 needs a factor.
     Raises BadData, OutOfRange.
     """
     entries, rows, cols = checked(content, table, first, ids)
     count, pairs = table.shape[0], first.shape[0]
     if ids is None and pairs and type_of(content) == np.float16:  # of the pairs' rows alone: they are few
         content, first, rows = _widened(device, content, first)
+    unit, of_table = map(float, scale)
+    if of_table != 1:
+        table = device.numpy(table) * np.float32(of_table)
     opencl = device.kind == "opencl"
     if not (device.is_gpu or opencl):  # Warp's loops are vectors along the projections, which lie side by side for them
         table = np.pad(np.transpose(device.numpy(table)), ((0, 0), (0, MOST - count)))
@@ -52,16 +58,16 @@ def survey(device, content, table, first, ids=None):
     if not pairs:
         return out
     if device.is_gpu:
-        _by_groups(device, content, table, first, ids, out, entries, rows, cols)
+        _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit)
         return out
     defines = {"WIDTH": 8, "BLOCK": BLOCK}
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
     if ids is None:
-        device.launch("spectral.survey", "mixed", grid, content, table, first, out, entries, rows, cols, count,
+        device.launch("spectral.survey", "mixed", grid, content, table, first, out, entries, rows, cols, count, unit,
                       defines=defines, group=group)
     else:
         device.launch("spectral.survey", "labelled", grid, ids, content, table, first, out, entries, rows, cols, count,
-                      defines=defines, group=group)
+                      unit, defines=defines, group=group)
     return out
 
 
@@ -73,7 +79,7 @@ def _widened(device, content, first):
     return device.reshape(content, content.shape[1:]), np.arange(0, rows.size, 2), rows.size
 
 
-def _by_groups(device, content, table, first, ids, out, entries, rows, cols):
+def _by_groups(device, content, table, first, ids, out, entries, rows, cols, unit):
     """Work-groups over parts of a row, then the parts of every row in their order."""
     count, pairs = table.shape[0], first.shape[0]
     chunks = -(-cols // THREADS)
@@ -81,7 +87,7 @@ def _by_groups(device, content, table, first, ids, out, entries, rows, cols):
     defines = {"PROJECTIONS": count, "THREADS": THREADS}
     content = (content,) if ids is None else (ids, content)
     device.launch(GROUPS, "mixed_groups" if ids is None else "labelled_groups", (pairs * chunks * THREADS,), *content,
-                  table, first, parts, entries, rows, cols, chunks, defines=defines, group=(THREADS,))
+                  table, first, parts, entries, rows, cols, chunks, unit, defines=defines, group=(THREADS,))
     items = pairs * 3 * (count + 1)
     device.launch(GROUPS, "finish", (-(-items // THREADS) * THREADS,), parts, out, items, chunks, cols,
                   defines=defines, group=(THREADS,))
@@ -132,13 +138,17 @@ def cases():
     shading[8, 20] = np.inf
     ids = random.integers(0, 31, shading.shape).astype(np.uint16)
     yield _case("materials with NaN and infinity", shading, table, np.arange(12), ids)
+    light = 1e23 * random.random((31, 12, 40))
+    yield _case("the sun", light, table, np.arange(12), scale=(2.0**-77, 2.0**-79))
+    yield _case("materials in the sun", light[3], table * 2.0**20, np.arange(12), ids, scale=(2.0**-77, 2.0**-97))
+    yield _case("faint light", light * 1e-60, table, np.arange(12), scale=(2.0**123, 2.0**121))
 
 
-def _case(name, content, table, first, ids=None):
+def _case(name, content, table, first, ids=None, scale=(1.0, 1.0)):
     """Arrays as the stage takes them, and the largest relative error of any number by the bound in `why`."""
     content = content.astype(np.float16 if content.dtype == np.float16 else np.float32)
     table, unit = table.astype(np.float32), 2.0**-24
-    inputs = {"content": content, "table": table, "first": first.astype(np.int32)}
+    inputs = {"content": content, "table": table, "first": first.astype(np.int32), "scale": scale}
     terms = content.shape[0] if ids is None else 2
     rows, cols = content.shape[-2:]
     tolerance = 0.0

@@ -46,7 +46,7 @@ __kernel void mixed_groups(
     // out:
     __global float *restrict parts,          // [pairs][chunks][3][COUNT]
     // sizes:
-    const int entries, const int rows, const int cols, const int chunks)
+    const int entries, const int rows, const int cols, const int chunks, const float unit)
 {
     __local float memory[3 * COUNT * APART];
     __local float4 weights[ENTRIES * FOURS];
@@ -77,9 +77,9 @@ __kernel void mixed_groups(
                     }
                 }
             }
-            own[PROJECTIONS] += here * here;
-            own[COUNT + PROJECTIONS] += right * right;
-            own[2 * COUNT + PROJECTIONS] += below * below;
+            own[PROJECTIONS] += unit * here * (unit * here);
+            own[COUNT + PROJECTIONS] += unit * right * (unit * right);
+            own[2 * COUNT + PROJECTIONS] += unit * below * (unit * below);
         }
     }
     SQUARE_UP
@@ -95,7 +95,7 @@ __kernel void labelled_groups(
     // out:
     __global float *restrict parts,          // [pairs][chunks][3][COUNT]
     // sizes:
-    const int entries, const int rows, const int cols, const int chunks)
+    const int entries, const int rows, const int cols, const int chunks, const float unit)
 {
     __local float memory[3 * COUNT * APART];
     const int item = get_local_id(0), x = get_group_id(0) % chunks * THREADS + item;
@@ -113,9 +113,11 @@ __kernel void labelled_groups(
         own[COUNT + p] = id_right == id ? weight * to_right : row[id_right] * content[right] - weight * here;
         own[2 * COUNT + p] = id_below == id ? weight * to_below : row[id_below] * content[below] - weight * here;
     }
-    own[PROJECTIONS] = here * here;
-    own[COUNT + PROJECTIONS] = id_right == id ? to_right * to_right : here * here + content[right] * content[right];
-    own[2 * COUNT + PROJECTIONS] = id_below == id ? to_below * to_below : here * here + content[below] * content[below];
+    const float value = unit * here, its_right = unit * content[right], its_below = unit * content[below];
+    const float step = unit * to_right, fall = unit * to_below;
+    own[PROJECTIONS] = value * value;
+    own[COUNT + PROJECTIONS] = id_right == id ? step * step : value * value + its_right * its_right;
+    own[2 * COUNT + PROJECTIONS] = id_below == id ? fall * fall : value * value + its_below * its_below;
     SQUARE_UP
     SUM_UP
 }

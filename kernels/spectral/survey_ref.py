@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def survey(content, table, first, ids=None):
+def survey(content, table, first, ids=None, scale=(1.0, 1.0)):
     """See the contract."""
     from gpusim.kernels.spectral.survey import checked
 
@@ -18,6 +18,8 @@ def survey(content, table, first, ids=None):
         if cols > 1:
             out[number, 1] = _mean_squares(table, across)
         out[number, 2] = _mean_squares(table, down)
+    out[..., :-1] *= scale[1] ** 2
+    out[..., -1] *= scale[0] ** 2
     return out
 
 

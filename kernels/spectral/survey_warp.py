@@ -34,7 +34,7 @@ def mixed(
     # out:
     out: wp.array3d[float],
     # sizes:
-    entries: int, rows: int, cols: int, count: int,
+    entries: int, rows: int, cols: int, count: int, unit: float,
 ):
     i = wp.tid()
     y = wp.clamp(first[i], 0, rows - 1)
@@ -57,7 +57,8 @@ def mixed(
             value += here * row
             across += step * row
             down += fall * row
-            square += wp.vec3(here * here, step * step, fall * fall)
+            own = unit * wp.vec3(here, step, fall)
+            square += wp.cw_mul(own, own)
         values += wp.cw_mul(value, value)
         falls += wp.cw_mul(down, down)
         if right == x:
@@ -96,7 +97,7 @@ def labelled(
     # out:
     out: wp.array3d[float],
     # sizes:
-    entries: int, rows: int, cols: int, count: int,
+    entries: int, rows: int, cols: int, count: int, unit: float,
 ):
     i = wp.tid()
     y = wp.clamp(first[i], 0, rows - 1)
@@ -114,13 +115,14 @@ def labelled(
         down = difference(table, id, id_below, shade, shade_below)
         values += wp.cw_mul(value, value)
         falls += wp.cw_mul(down, down)
-        square = wp.vec3(shade * shade, 0.0, difference_square(id, id_below, shade, shade_below))
+        square = wp.vec3(unit * shade * (unit * shade), 0.0, difference_square(
+            id, id_below, unit * shade, unit * shade_below))
         if x + 1 < cols:
             id_right = int(ids[y, x + 1])
             shade_right = content[y, x + 1]
             across = difference(table, id, id_right, shade, shade_right)
             steps += wp.cw_mul(across, across)
-            square[1] = difference_square(id, id_right, shade, shade_right)
+            square[1] = difference_square(id, id_right, unit * shade, unit * shade_right)
         squares += square
     store(out, i, 0, count, values, squares[0], cols)
     store(out, i, 1, count, steps, squares[1], wp.max(cols - 1, 1))

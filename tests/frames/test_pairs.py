@@ -2,7 +2,11 @@
 
 import io
 import json
+import os
+import subprocess
+import sys
 import tarfile
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,3 +162,29 @@ def test_what_is_wrong_is_said_in_a_line(photographs, tmp_path, capsys):
     assert main(["pairs", str(photographs), "--camera", "phone", "--device", "numpy", "-o", str(tmp_path / "done"),
                  "--seed", "1"]) == 2
     assert "other seed" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="there is no SIGKILL")
+def test_a_run_that_was_killed_leaves_nothing_behind(photographs, tmp_path):
+    """16 runs that end at any time: the next one makes the same bytes, and there is nothing else."""
+    code = "import sys; from gpusim.__main__ import start; sys.exit(start())"
+    command = [sys.executable, "-c", code, "pairs", *map(str, (
+        photographs, "--camera", "phone", "--device", "numpy", "--each", 5, "--in-shard", 6, "--pictures", "-o"))]
+
+    def run(folder):
+        assert subprocess.run([*command, folder], capture_output=True).returncode == 0
+        return {name: (folder / name).read_bytes() for name in os.listdir(folder)}
+
+    begun = time.monotonic()
+    expected = run(tmp_path / "whole")
+    took, random, left = time.monotonic() - begun, np.random.default_rng(5), 0
+    for number in range(16):
+        folder = tmp_path / str(number)
+        process = subprocess.Popen([*command, folder], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(took * random.uniform(0.3, 1))
+        process.kill()
+        process.wait()
+        left += folder.exists() and any(name.startswith(".") for name in os.listdir(folder))
+        assert run(folder) == expected
+    print(f"{left} of 16 left a temporary file to the next run")

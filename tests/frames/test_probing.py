@@ -8,18 +8,21 @@ from dataclasses import replace
 import cameras
 import numpy as np
 import pytest
-from devices import ALL_KINDS
+from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.account import SAFETY
 from gpusim.domain.content import Basis
 from gpusim.domain.pupil import Pupil
+from gpusim.domain.scene import unit_light
+from gpusim.planner.plan import Plan
 from gpusim.program.probing import Probing, kind_of
 from gpusim.truth import true_error
 
 CAMERA, SIZE, SECONDS = gs.open_camera("phone"), (160, 120), 0.01
 TOLERANCE = gs.Tolerance(p999_sigma=0.02)
 LEAVES = gs.chart("deadleaves", size=SIZE)
+LIGHT = unit_light(LEAVES.wavelengths)
 SPECTRA = np.ascontiguousarray(LEAVES.content.bands_at(slice(None)), np.float32)
 MEAN = SPECTRA.mean((1, 2), keepdims=True)
 DUE = (1, 5, 18, 58)  # each 3 n + 1 after the one before: 1, 4, 13, 40
@@ -240,3 +243,22 @@ def test_what_the_border_breaks_raises_no_planes(device):
         program.update(scene=scenes[number % 2]).raw()
     program.judge()
     assert program.plan is first
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_loop_judges_the_sun_as_it_does_a_lamp(device, unprobed, monkeypatch):
+    """Light times a power of two, for as much less time, has the same estimates, bit for bit, and the same plans.
+
+    Squares of 1e23 are beyond float32: a signal of infinity made every estimate 0, or no number.
+    """
+    unprobed()
+    told, fits = [], Plan.fits
+    monkeypatch.setattr(Plan, "fits", lambda plan, light, drift: told[-1].append(drift) or fits(plan, light, drift))
+    for factor in (1.0, 2.0**50, 2.0**76):  # the largest is 0.8, 9e14 and 6e22
+        told.append([])
+        scenes = [gs.Scene(gs.Cube(LEAVES.wavelengths, np.float32(factor) * np.ascontiguousarray(values)), LIGHT)
+                  for values in (even().content.values, SPECTRA, SPECTRA[:, ::-1], SPECTRA[:, :, ::-1])]
+        program = made(device).program(scenes[0], 1e12 / factor)
+        for scene in scenes:
+            program.update(scene=scene).raw()
+    assert max(one for one in told[0] if one is not None) > 0 and told[0] == told[1] == told[2]

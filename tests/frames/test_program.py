@@ -1,5 +1,6 @@
 """The program as the system treats it: full disks, names, signals, closed outputs. One line on standard error."""
 
+import json
 import os
 import resource
 import signal
@@ -152,12 +153,77 @@ def test_a_full_standard_output_is_said_in_one_line(arguments, unbuffered):
 
 
 @pytest.mark.parametrize(("arguments", "unbuffered"), OUTPUTS)
-def test_a_reader_that_has_gone_is_no_error(arguments, unbuffered):
+def test_a_reader_that_has_gone_ends_the_work_in_silence(arguments, unbuffered):
     end, start = os.pipe()
     os.close(end)
     with os.fdopen(start, "w") as closed:
         done = program(*arguments, stdout=closed, env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_standard_error_stops_no_work(unbuffered, tmp_path):
+    with open("/dev/full", "w") as full:
+        wrong, right = (program(*FLAT[:1], scene, *FLAT[2:], "--frames", 2, "-o", tmp_path / "a.npz", stderr=full,
+                                env=os.environ | {"PYTHONUNBUFFERED": unbuffered}) for scene in ("none", "flat"))
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert right.returncode == 0 and "flat 32x32" in right.stdout and len(os.listdir(tmp_path)) == 2
+
+
+# In a fork for each command and each way that streams can be: all is imported once
+EVERY_COMMAND = """
+import io, json, os, sys
+import gpusim.backends.probe, gpusim.bench, gpusim.cli, gpusim.forecast, gpusim.simulator, gpusim.verify
+from gpusim.__main__ import start
+gpusim.backends.probe.devices = lambda refresh: [{"name": "a", "error": "no driver"}] * 9
+works = json.loads(sys.argv[1])
+works += [[name, "--help"] for name in gpusim.cli._parser()._subparsers._group_actions[0].choices]
+found = []
+for arguments in works:
+    for out, err in (("full", "file"), ("gone", "file"), ("file", "full"), ("file", "gone"), ("none", "file"),
+                     ("file", "none"), ("none", "none"))[:7 if arguments == ["--help"] else 3]:
+        pid = os.fork()
+        if not pid:
+            break
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        found.append([arguments, out, err, status, open("1").read(), open("2").read()])
+    else:
+        continue
+    break
+else:
+    print(json.dumps(found))
+    sys.exit()
+gone = os.pipe()
+os.close(gone[0])
+for number, how in ((1, out), (2, err)):
+    file = os.open(str(number), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2({"full": os.open("/dev/full", os.O_WRONLY), "gone": gone[1]}.get(how, file), number)
+    stream = io.TextIOWrapper(open(number, "wb", buffering=len(arguments) % 2 - 1, closefd=False), write_through=True)
+    if how == "none":
+        os.close(number)
+    setattr(sys, {1: "stdout", 2: "stderr"}[number], None if how == "none" else stream)
+sys.argv = ["gpusim", *arguments]
+sys.exit(start())
+"""
+
+
+def test_no_command_minds_what_its_streams_are(tmp_path):
+    """Lost output is a status and at most one line; lost messages change nothing."""
+    works = [FLAT, ("plan", *FLAT[1:], "--tolerance", "0.01"), ("devices",), ("devices", "--json"), ("--version",),
+             ("--help",), *((name, "--device", "numpy", "--stage", "sensor.flag") for name in ("verify", "bench"))]
+    works[-1] += ("--size", "8x8")
+    done = program(json.dumps(works), code=EVERY_COMMAND, cwd=tmp_path)
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert len({arguments[0] for arguments, *_ in found if arguments[1:] == ["--help"]}) == 10 and not done.stderr
+    for arguments, out, err, status, output, message in found:
+        case = f"{arguments} {out} {err}: {status} {message}"
+        if out == "full":
+            full = "gpusim: standard output cannot be written: No space left on device\n"
+            assert (status, message) == (2, full), case
+        elif out == "gone":
+            assert (status, message) == (141, ""), case
+        else:
+            assert (status, message) == (0, "") and (out == "none" or output), case
 
 
 def test_letters_that_the_terminal_has_not(tmp_path):

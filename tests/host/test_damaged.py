@@ -13,7 +13,7 @@ from gpusim.domain.errors import BadData, BadFile, GpusimError
 from gpusim.preview.controls import CONTROLS
 from gpusim.preview.state import State
 from gpusim.video.loops import Lags, Loops
-from gpusim.video.manifest import kept
+from gpusim.video.manifest import Plans, kept
 
 SHEET = {"pixel_pitch": 3.45e-6, "quantum_efficiency": 0.6, "wavelength": 525.0, "gain": 0.4, "bits": 12,
          "saturation_capacity": 8000.0, "dark_noise": 5.0}
@@ -52,6 +52,16 @@ def test_damaged_manifests(text, tmp_path):
         pass
     path.write_text(json.dumps({"loops": {"seconds": [1.0, 2.0]}}))
     assert Loops.kept_in(path, Lags(exposure=1.0), 2) == Loops(seconds=[1.0, 2.0])
+
+
+@pytest.mark.parametrize("plans", [3, [], None, *({"a": runs} for runs in (3, [3], [[1]], [["0", 1]], [[0, 1.5]]))])
+def test_manifests_with_other_things_for_plans(plans, tmp_path):
+    path = tmp_path / "video.json"
+    path.write_text(json.dumps({"frames": 2, "plans": plans}))
+    with refused("not a manifest", error=BadFile), kept(path, {"frames": 2}, "the rest", lambda: False):
+        pass
+    Plans(path).write()  # of a run that had begun: what was damaged since is not its fault
+    assert json.loads(path.read_text())["plans"] == plans
 
 
 def test_truncated_and_damaged_videos(tmp_path):

@@ -1,5 +1,7 @@
 """What a device surveys of a content gives the error that the host predicts from all moments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from devices import DEVICES
@@ -49,6 +51,20 @@ def test_a_device_gives_the_error_of_all_moments(device, response):
             seen, allowed = watch.errors(numbers)[0], bound(watch, content, signal, exact)
             assert exact - allowed <= seen <= np.sqrt(exact**2 + left) + allowed
             assert allowed < 1e-6
+
+
+@pytest.mark.parametrize("exponent", [76, 57, -80])
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_sun_is_surveyed_as_any_light(device, exponent, response):
+    """Powers of two change no bit of an error: squares of 1e23, which float32 has not, are not needed."""
+    device, (table, transfers) = open_device(device), next(operators(response))
+    for content in (natural((96, 64)).content, list(contents())[-1]):
+        light = replace(content, **{content.samples[-1]: content.planes * np.float32(2.0**exponent)})
+        watch = Watch.of(response, table, transfers, content)
+        unscaled, once, bright = (
+            one.errors(survey(seen.planes, one.table, one.first, seen.labels, one.scale, device=device))
+            for one, seen in ((watch, light), (watch.scaled(content), content), (watch.scaled(light), light)))
+        assert once == bright and bright[0] > 0 and (exponent < 76 or np.isnan(unscaled[0]))
 
 
 @pytest.mark.parametrize("device", DEVICES)

@@ -199,7 +199,8 @@ def _outside(question, picture, depth, level):
         unit = 2.0**-power
     return Outside(light, scene.border, scene.margin, tail, spread, picture.level * unit,
                    max(question.sensor.read_sigma**2, 1) / level, missing * unit,
-                   min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ()))
+                   min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ((), 0.0)),
+                   question.deviation, not scene.view.is_plain)
 
 
 def _energy_beyond(radius, q):

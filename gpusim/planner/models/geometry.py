@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import hypot
 
 import numpy as np
@@ -36,7 +37,7 @@ def interpolated(question: Question, told: Callable[[], Probes], notes: Notes) -
     notes.bounds["distortion grid"] = _between_nodes(made, told())
     if question.scene.view.is_whole(question.ratio):  # else it is an error of the view, whose places are anywhere
         width = sum(made.ratio) / 2 if made.method == "area" else None
-        everywhere, worst = (_with_rim(question, told(), lambda probes, of=phases: probes.interpolated(of, width))
+        everywhere, worst = (_with_rim(question, told(), partial(Probes.interpolated, phases=phases, width=width))
                              for phases in place_phases(made, seen))
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made

@@ -230,7 +230,7 @@ def _fused(question, response, flat, planes, probes):
 
         def make(rank=rank, bound=bound):
             inputs, transfers = operator.w_in[:, :rank].T, operator.transfers(rank)
-            watch = Watch.of(response, inputs, transfers, content)
+            watch = Watch.of(response, inputs, transfers, content).scaled(question.facts.pairs)
             expected = operator.predicted(rank, question.facts.spectra)
             falls = watch.falling(wrong_moments(response, operator.w_in[:, :more].T, operator.transfers(more))
                                   for more in range(rank + 1, most + 1))
@@ -248,7 +248,7 @@ def watch_of_no_blur(question: Question, bound: Bound) -> Watch:
     flat = _flat(question)
     watch, expected = Watch.of_no_blur(response_of(question, question.weights / flat, flat), question.content,
                                        question.scene.samples, question.facts.spectra)
-    return replace(watch, factor=max(1.0, bound.rms / expected if expected else 1.0))
+    return replace(watch.scaled(question.facts.pairs), factor=max(1.0, bound.rms / expected if expected else 1.0))
 
 
 def _guaranteed(question, response, flat, planes, probes):
