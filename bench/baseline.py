@@ -12,7 +12,7 @@ import scipy.fft
 from scipy.signal import fftconvolve, oaconvolve
 
 from gpusim.domain.scene import Scene
-from gpusim.simulator import Simulator
+from gpusim.pipeline.simulator import Simulator
 
 
 class Baseline:
@@ -99,7 +99,7 @@ def convolve(plane, kernel) -> np.ndarray:
 
 
 def overlap_add(plane, blur, dtype=np.float32) -> np.ndarray:
-    """A plane by the kernels of `gpusim.planner.field`, bilinear between them: each on its own window, added up."""
+    """A plane by the kernels of `gpusim.optics.field`, bilinear between them: each on its own window, added up."""
     half, grid = blur.kernels.shape[-1] // 2, [len(edge) for edge in blur.edges]
     edges = [np.clip(edge, 0, n) for edge, n in zip(blur.edges, plane.shape, strict=True)]
     weights, kernels = blur.coefficients.astype(dtype), blur.kernels.astype(dtype)

@@ -11,19 +11,19 @@ noise. Estimates are made from thumbnails of simulated, noisy pictures; for each
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
-from gpusim.data.cameras import open_camera
+from gpusim.color.balance import ESTIMATES, estimate_white
+from gpusim.color.color import METHODS, color_matrix, transform_set
 from gpusim.data.charts import chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.spectrum import photons_from_energy
-from gpusim.io.scenes import open_scene
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.scene.scenes import open_scene
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.thumbnail import thumbnail
-from gpusim.planner.balance import ESTIMATES, estimate_white
-from gpusim.planner.color import METHODS, color_matrix, transform_set
-from gpusim.planner.weights import product_weights
+from gpusim.optics.weights import product_weights
 
 LIGHTS = ("D65", "A", "FL11", "FL2")
 PATCHES = reflectances("colorchecker")
@@ -65,7 +65,7 @@ def right_and_wrong(tables, qe):
 
 def estimates(tables, camera, device, photos):
     """Every estimate, in every light, from a chart, from overlapping discs of surfaces and from photographs."""
-    from gpusim.simulator import Simulator  # the other tables need no device
+    from gpusim.pipeline.simulator import Simulator  # the other tables need no device
 
     sensor = camera.sensor
     transforms = transform_set(sensor.qe, camera.processor.training, channels=sensor.channels)

@@ -25,13 +25,13 @@ from baseline import Baseline
 from frames import SECONDS, cube
 from results import add_size, cores, count, finish, parser, peer_rows, ready, rms, rounds, show, start
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
-from gpusim.io.dng import write_dng
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.frame.dng import write_dng
 from gpusim.kernels.stage import public_function
-from gpusim.simulator import Simulator
+from gpusim.pipeline.simulator import Simulator
 
 PACKAGES = {"cv2": "opencv-python-headless", "colour_demosaicing": "colour-demosaicing", "rawpy": "rawpy",
             "torch": "torch", "ducc0": "ducc0", "halide": "halide"}

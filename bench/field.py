@@ -12,7 +12,7 @@ from baseline import overlap_add as by_scipy
 from results import add_repeat, compared, count, parser, ready, start
 
 from gpusim.kernels.optics.field import field, transfer
-from gpusim.planner.field import overlap_add
+from gpusim.optics.field import overlap_add
 
 SHAPE, SIZE, GRID = (1080, 1920), 31, 8
 

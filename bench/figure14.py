@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
+from gpusim.apps.l3.train import train, wanted_colors
 from gpusim.data.charts import WAVELENGTHS, chart
 from gpusim.data.curves import curve
 from gpusim.data.reflectances import reflectances
@@ -32,9 +33,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.atomic import check_output
-from gpusim.io.scenes import mean_luminance
-from gpusim.l3.train import train, wanted_colors
-from gpusim.simulator import Simulator
+from gpusim.io.scene.scenes import mean_luminance
+from gpusim.pipeline.simulator import Simulator
 
 CAMERAS = {"RGB Bayer": ("RG", "GB"), "RGBW": ("RG", "WB"), "RGBN": ("RG", "NB")}
 LUMINANCES = (1.0, 40.0)  # [cd m-2], mean over the frame

@@ -11,12 +11,12 @@ import numpy as np
 from results import quartiles
 
 from gpusim.backends import open_device
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import DoesNotFit
 from gpusim.domain.memory import require_memory
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.simulator import Simulator
 
 LOOPS = 5  # of each kind, whose median and spread are shown
 WARM = 6  # frames before the clock runs

@@ -14,13 +14,13 @@ from baseline import Baseline
 from frames import SECONDS, cube
 from results import add_repeat, add_size, compared, parser, ready, rms, start
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.tolerance import Tolerance
-from gpusim.planner.border import BORDER_REACH
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.optics.outside import BORDER_REACH
+from gpusim.pipeline.simulator import Simulator
 
 RANKS = (3, 4, 6)
 

@@ -18,10 +18,10 @@ from baseline import Baseline
 from frames import LOOPS, SECONDS, WARM, Loops, cube, resident_scene
 from results import add_size, count, finish, parser, peer_rows, ready, rms, rounds, start
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Basis, Cube
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.simulator import Simulator
 
 
 def camera_with(base, part, **settings):

@@ -14,7 +14,7 @@ import numpy as np
 from results import count, start
 
 import gpusim as gs
-from gpusim.cli import OneLineParser
+from gpusim.cli.main import OneLineParser
 from gpusim.domain.display import DISPLAYS
 from gpusim.io.atomic import check_output
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from gpusim.backends import open_device
 from gpusim.backends.probe import identity
-from gpusim.cli import OneLineParser
+from gpusim.cli.main import OneLineParser
+from gpusim.cli.options import size
 from gpusim.data.charts import checked_size
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.io.atomic import atomic_path, check_output
-from gpusim.options import size
 
 HERE = Path(__file__).parent
 PACKAGES = ("numpy", "scipy", "pyopencl", "warp-lang", "pocl-binary-distribution")

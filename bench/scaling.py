@@ -10,8 +10,8 @@ What does not fit is said in its row, and the others go on.
 
 from results import count, finish, in_process, parser, ready, start
 
-from gpusim.data.cameras import open_camera
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.simulator import Simulator
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))  # of 31 bands
 BANDS = (3, 10, 31, 61, 101, 301)  # at 1080p

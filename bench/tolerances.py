@@ -3,7 +3,7 @@
     python bench/tolerances.py --device opencl --size 1920x1080 --json bench/results/tolerances-NAME.json
 
 Cubes of 31 bands lie on the device, those of the baseline (bench/baseline.py) on the host, whose processor it runs on.
-The baseline computes what is computed without a tolerance. Errors are those of mean electrons (gpusim/truth.py).
+The baseline computes what is computed without a tolerance. Errors are those of mean electrons (gpusim/judge/truth.py).
 Predicted times are of all stages of a frame, codes included, over what those stages were measured to take. The result
 has a row for every question and the table one for every tolerance: medians, and the least and the most.
 """
@@ -20,8 +20,8 @@ from triple_scenes import TOLERANCES
 
 import gpusim as gs
 from gpusim.domain.content import Cube
-from gpusim.speeds import Speeds, frame_ms
-from gpusim.truth import true_mean
+from gpusim.judge.speeds import Speeds, frame_ms
+from gpusim.judge.truth import true_mean
 
 CAMERAS = ("phone", "machine-vision", "mono", "figure8")
 CHARTS = ("deadleaves", "colorchecker", "slanted-edge")

@@ -12,11 +12,11 @@ from contextlib import contextmanager
 import numpy as np
 from results import add_repeat, count, finish, parser, quartiles, ready, show, start
 
+from gpusim.cli.options import size
 from gpusim.domain.errors import OutOfRange, one_line
 from gpusim.kernels.common import fft
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.options import size
 
 ROWS, COLS, BANDS, CFA = 1080, 1920, 31, np.array([[0, 1], [1, 2]], np.int32)
 

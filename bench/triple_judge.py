@@ -24,7 +24,7 @@ import gpusim as gs
 from gpusim.domain.account import SAFETY
 from gpusim.domain.errors import GpusimError, OutOfRange
 from gpusim.domain.tolerance import Tolerance
-from gpusim.report import Error
+from gpusim.pipeline.report import Error
 
 KINDS = {"old": triple_mixed.OLD, "combined": triple_mixed.MIXED}
 LIMIT = 150  # [s] for a question

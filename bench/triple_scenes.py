@@ -17,7 +17,7 @@ import gpusim as gs
 from gpusim.data.lights import white_radiance
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.io.photo import read_samples
+from gpusim.io.scene.photo import read_samples
 
 DEVELOPMENT, HELD_OUT = range(160), range(500, 660)
 KINDS = {"photo": 0.22, "cube": 0.14, "chart": 0.22, "spectra": 0.24, "hdr": 0.18}  # name -> how often

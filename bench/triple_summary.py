@@ -118,7 +118,7 @@ def shown(values) -> str:
 
 
 def truth(rows) -> dict:
-    """How far `gpusim.truth` is from the brute force, and how both judge the same frame."""
+    """How far `gpusim.judge.truth` is from the brute force, and how both judge the same frame."""
     judged = [row for row in rows if "refused" not in row["brute"]]
     by_size = sorted(judged, key=lambda row: -row["brute"]["truth"])
     return {"judged": len(judged), "refused": len(rows) - len(judged),

@@ -27,9 +27,9 @@ from triple_summary import summary
 import gpusim as gs
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.domain.tolerance import Tolerance
-from gpusim.report import Error
-from gpusim.speeds import frame_ms
-from gpusim.truth import require_truth, seen
+from gpusim.judge.speeds import frame_ms
+from gpusim.judge.truth import require_truth, seen
+from gpusim.pipeline.report import Error
 
 HALVES = {"development": DEVELOPMENT, "held-out": HELD_OUT}
 LADDER = TOLERANCES[:6]  # relative RMS errors, from loose to tight

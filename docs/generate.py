@@ -18,7 +18,7 @@ import prose
 import stage_pages
 
 import gpusim
-from gpusim import cli
+from gpusim.cli import main as cli
 from gpusim.domain import camera_keys
 from gpusim.domain.display import Display
 from gpusim.domain.noise import Noise

@@ -15,10 +15,10 @@ from PIL import Image
 from skimage import data
 
 import gpusim as gs
-from gpusim.cli import main as gpusim
+from gpusim.cli.main import main as gpusim
+from gpusim.judge.truth import seen
 from gpusim.measure.ideal import ideal
 from gpusim.measure.mosaic import colored
-from gpusim.truth import seen
 
 HERE = Path(__file__).parent / "pictures"
 SIZE = (480, 320)

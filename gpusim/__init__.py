@@ -18,10 +18,10 @@ _PUBLIC = {
     "Picture": "gpusim.domain.content", "Illuminated": "gpusim.domain.illuminated",
     "Spectrum": "gpusim.domain.spectrum", "Tolerance": "gpusim.domain.tolerance",
     "GpusimError": "gpusim.domain.errors", "Noise": "gpusim.domain.noise", "AutoExposure": "gpusim.domain.exposure",
-    "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.readout", "Layer": "gpusim.domain.scene",
-    "View": "gpusim.domain.view", "Batch": "gpusim.batches",
+    "exposure_value": "gpusim.domain.exposure", "Readout": "gpusim.pipeline.readout", "Layer": "gpusim.domain.scene",
+    "View": "gpusim.domain.view", "Batch": "gpusim.apps.tensors.batches",
     "EventSensor": "gpusim.captures.events", "events_of": "gpusim.captures.events",
-    "write_events": "gpusim.io.events",
+    "write_events": "gpusim.io.frame.events",
     "Actor": "gpusim.domain.animation", "Animation": "gpusim.domain.animation",
     "Motion": "gpusim.domain.motion", "Flicker": "gpusim.domain.flicker",
     "bracket": "gpusim.captures.bracket", "lengthened": "gpusim.captures.bracket", "burst": "gpusim.captures.burst",
@@ -30,18 +30,19 @@ _PUBLIC = {
     "autofocus": "gpusim.captures.focus",
     "merge_bracket": "gpusim.captures.merge", "merge_burst": "gpusim.captures.merge",
     "merge_flash": "gpusim.captures.merge",
-    "Simulator": "gpusim.simulator", "Frame": "gpusim.frame",
-    "Program": "gpusim.program.program", "open_device": "gpusim.backends",
-    "open_camera": "gpusim.data.cameras", "camera_names": "gpusim.data.cameras",
-    "sensor_from_emva1288": "gpusim.data.emva1288", "Calibration": "gpusim.domain.calibration",
-    "read_calibration": "gpusim.data.calibration", "read_noise_profile": "gpusim.data.noise_profile",
-    "photon_transfer": "gpusim.measure", "read_psf": "gpusim.data.psf", "write_psf": "gpusim.data.psf",
-    "PointSpread": "gpusim.domain.psf", "read_zemax_psf": "gpusim.data.zemax", "optiland_psf": "gpusim.data.optiland",
+    "Simulator": "gpusim.pipeline.simulator", "Frame": "gpusim.pipeline.frame",
+    "Program": "gpusim.pipeline.program", "open_device": "gpusim.backends",
+    "open_camera": "gpusim.io.camera.cameras", "camera_names": "gpusim.io.camera.cameras",
+    "sensor_from_emva1288": "gpusim.io.camera.emva1288", "Calibration": "gpusim.domain.calibration",
+    "read_calibration": "gpusim.io.camera.calibration", "read_noise_profile": "gpusim.io.camera.noise_profile",
+    "photon_transfer": "gpusim.measure", "read_psf": "gpusim.io.camera.psf", "write_psf": "gpusim.io.camera.psf",
+    "PointSpread": "gpusim.domain.psf", "read_zemax_psf": "gpusim.io.camera.zemax",
+    "optiland_psf": "gpusim.io.camera.optiland",
     "open_display": "gpusim.data.displays", "display_names": "gpusim.data.displays",
     "displayed": "gpusim.data.displays", "chart": "gpusim.data.charts", "illuminant": "gpusim.data.lights",
     "illuminated": "gpusim.data.illumination",
-    "open_scene": "gpusim.io.scenes", "save_scene": "gpusim.io.scenes",
-    "picture": "gpusim.io.scenes", "scene_from": "gpusim.io.arrays", "preview": "gpusim.preview",
+    "open_scene": "gpusim.io.scene.scenes", "save_scene": "gpusim.io.scene.scenes",
+    "picture": "gpusim.io.scene.scenes", "scene_from": "gpusim.io.scene.arrays", "preview": "gpusim.apps.preview",
     "plot": "gpusim",  # a package of its own
 }
 __all__ = sorted(_PUBLIC)
@@ -49,7 +50,7 @@ __all__ = sorted(_PUBLIC)
 if TYPE_CHECKING:  # the same for type checkers and editors, which do not run the code; a test compares the two
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
-    from gpusim.batches import Batch as Batch
+    from gpusim.apps.tensors.batches import Batch as Batch
     from gpusim.captures.bracket import bracket as bracket, lengthened as lengthened
     from gpusim.captures.burst import average as average, burst as burst
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
@@ -61,21 +62,21 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     )
     from gpusim.captures.moving import expose_motion as expose_motion, expose_moving as expose_moving
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
-    from gpusim.data.calibration import read_calibration as read_calibration
-    from gpusim.data.cameras import camera_names as camera_names, open_camera as open_camera
+    from gpusim.io.camera.calibration import read_calibration as read_calibration
+    from gpusim.io.camera.cameras import camera_names as camera_names, open_camera as open_camera
     from gpusim.data.charts import chart as chart
     from gpusim.data.displays import (
         display_names as display_names,
         displayed as displayed,
         open_display as open_display,
     )
-    from gpusim.data.emva1288 import sensor_from_emva1288 as sensor_from_emva1288
+    from gpusim.io.camera.emva1288 import sensor_from_emva1288 as sensor_from_emva1288
     from gpusim.data.illumination import illuminated as illuminated
     from gpusim.data.lights import illuminant as illuminant
-    from gpusim.data.noise_profile import read_noise_profile as read_noise_profile
-    from gpusim.data.optiland import optiland_psf as optiland_psf
-    from gpusim.data.psf import read_psf as read_psf, write_psf as write_psf
-    from gpusim.data.zemax import read_zemax_psf as read_zemax_psf
+    from gpusim.io.camera.noise_profile import read_noise_profile as read_noise_profile
+    from gpusim.io.camera.optiland import optiland_psf as optiland_psf
+    from gpusim.io.camera.psf import read_psf as read_psf, write_psf as write_psf
+    from gpusim.io.camera.zemax import read_zemax_psf as read_zemax_psf
     from gpusim.domain.animation import Actor as Actor, Animation as Animation
     from gpusim.domain.calibration import Calibration as Calibration
     from gpusim.domain.camera import Camera as Camera
@@ -95,15 +96,15 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.domain.spectrum import Spectrum as Spectrum
     from gpusim.domain.tolerance import Tolerance as Tolerance
     from gpusim.domain.view import View as View
-    from gpusim.frame import Frame as Frame
-    from gpusim.io.arrays import scene_from as scene_from
-    from gpusim.io.events import write_events as write_events
-    from gpusim.io.scenes import open_scene as open_scene, picture as picture, save_scene as save_scene
+    from gpusim.pipeline.frame import Frame as Frame
+    from gpusim.io.scene.arrays import scene_from as scene_from
+    from gpusim.io.frame.events import write_events as write_events
+    from gpusim.io.scene.scenes import open_scene as open_scene, picture as picture, save_scene as save_scene
     from gpusim.measure import photon_transfer as photon_transfer
-    from gpusim.preview import preview as preview
-    from gpusim.program.program import Program as Program
-    from gpusim.readout import Readout as Readout
-    from gpusim.simulator import Simulator as Simulator
+    from gpusim.apps.preview import preview as preview
+    from gpusim.pipeline.program import Program as Program
+    from gpusim.pipeline.readout import Readout as Readout
+    from gpusim.pipeline.simulator import Simulator as Simulator
 
 
 def __getattr__(name):

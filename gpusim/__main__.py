@@ -42,7 +42,7 @@ def _run():
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         try:
-            from gpusim.cli import main
+            from gpusim.cli.main import main
 
             status = main()
         except SystemExit as stop:  # argparse's, after --help

@@ -26,18 +26,18 @@ import mutations
 import numpy as np
 import picture_mutations
 
-from gpusim.data.calibration import read_calibration
-from gpusim.data.cameras import camera_names, open_camera
-from gpusim.data.learned import read_table, write_table
-from gpusim.data.noise_profile import read_noise_profile
-from gpusim.data.psf import read_psf
-from gpusim.data.zemax import read_zemax_psf
+from gpusim.apps.l3.layout import layout
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.memory import require_memory
+from gpusim.io.camera.calibration import read_calibration
+from gpusim.io.camera.cameras import camera_names, open_camera
+from gpusim.io.camera.learned import read_table, write_table
+from gpusim.io.camera.noise_profile import read_noise_profile
+from gpusim.io.camera.psf import read_psf
+from gpusim.io.camera.zemax import read_zemax_psf
 from gpusim.io.exr import write_rgb_exr, write_spectral_exr
-from gpusim.io.scenes import open_scene
-from gpusim.l3.layout import layout
+from gpusim.io.scene.scenes import open_scene
 
 SEEDS = (1, 2, 3)  # of the kept runs
 READERS = ("camera", "curves", "psf", "table", "scene", "exr", "png", "jpg", "tiff", "planes", "calibration", "profile",

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from mutations import pick
 
+from gpusim.apps.preview.controls import BEYOND, BEYOND_LOG, CONTROLS, LIGHTS, TOLERANCES, VIEWS
+from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData
-from gpusim.preview.controls import BEYOND, BEYOND_LOG, CONTROLS, LIGHTS, TOLERANCES, VIEWS
-from gpusim.preview.state import State
 
 STATES = [State("phone"), State("mono", {"optics.f_number": 2.0, "sensor.bits": 12}, "D65", 100.0, "1e-2", "raw"),
           State("machine-vision", {"processor.tone": "contrast", "optics.zernike_waves.7": 0.2}, seed=3, frame=7,
@@ -126,10 +126,10 @@ def read_link(path):
 
 def read_fields(path):
     """A small picture of the settings."""
+    from gpusim.apps.preview.producer import Producer
+    from gpusim.apps.video.scenes import Still
     from gpusim.backends import open_device
     from gpusim.data.charts import chart
-    from gpusim.preview.producer import Producer
-    from gpusim.video.scenes import Still
 
     state = State.of_link(path.read_text("utf-8", "replace"), "phone")
     return Producer(Still(chart("deadleaves", size=(48, 32)), 1), open_device("numpy")).picture(state, 0)
@@ -137,8 +137,8 @@ def read_fields(path):
 
 def read_manifest(path):
     """What a run that goes on with a video reads and writes."""
-    from gpusim.video.loops import Lags, Loops
-    from gpusim.video.manifest import Plans, kept
+    from gpusim.apps.video.loops import Lags, Loops
+    from gpusim.apps.video.manifest import Plans, kept
 
     Loops.kept_in(path, Lags(exposure=1.0, white=1.0), 3)
     with kept(path, VIDEO, "the rest", lambda: False), Plans(path) as plans:

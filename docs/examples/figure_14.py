@@ -16,9 +16,9 @@ import numpy as np
 from skimage import data
 
 import gpusim as gs
+from gpusim.apps.l3.train import train
 from gpusim.data.curves import curve
-from gpusim.io.scenes import mean_luminance
-from gpusim.l3.train import train
+from gpusim.io.scene.scenes import mean_luminance
 from gpusim.measure import snr
 
 # %%

@@ -7,12 +7,12 @@ from time import perf_counter
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time
 from gpusim.domain.scene import Scene
-from gpusim.frame import Exposure, Frame
 from gpusim.kernels.sensor.chip import chip
+from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.program import exposed
+from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
-from gpusim.program.kept import Kept
-from gpusim.program.program import exposed
-from gpusim.simulator import Simulator
 
 
 def bracket(simulator: Simulator, scene: Scene, stops, *, seed: int = 0, first: int = 0,

@@ -6,9 +6,9 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.scene import Scene
-from gpusim.frame import Exposure, Frame
+from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
-from gpusim.simulator import Simulator
 
 
 def burst(simulator: Simulator, scenes: Scene | Iterable[Scene], count: int = 1, *, seed: int = 0,

@@ -12,7 +12,7 @@ from gpusim.captures.photoreceptor import RATES, Photoreceptor
 from gpusim.domain.errors import BadData, OutOfRange, checked_count, shown
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.simulator import Simulator
+from gpusim.pipeline.simulator import Simulator
 
 EVENT = np.dtype([("t", np.float64), ("x", np.uint16), ("y", np.uint16), ("p", np.int8)])
 MOST = 100_000  # instants

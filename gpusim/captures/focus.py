@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
-from gpusim.simulator import Simulator
+from gpusim.domain.short_repr import brief
+from gpusim.pipeline.simulator import Simulator
 
 FIRST_STEP = 4.0  # [pixel] of circle of confusion between the first positions
 WAVELENGTH = 550.0  # [nm] at which the depth of focus is counted

@@ -4,20 +4,20 @@ import dataclasses
 
 import numpy as np
 
-from gpusim.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import ROUNDING, RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.frame import Frame
 from gpusim.kernels.processor.align import align, checked_stack
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
 from gpusim.measure.merge import MARGIN
-from gpusim.program.shots import HOT
-from gpusim.report import StageReport
-from gpusim.simulator import Simulator
+from gpusim.pipeline.developer import CLIPPED, STANDS_OUT, Developer
+from gpusim.pipeline.frame import Frame
+from gpusim.pipeline.report import StageReport
+from gpusim.pipeline.shots import HOT
+from gpusim.pipeline.simulator import Simulator
 
 PEDESTAL, TOP = 1024, 65535  # digital numbers of black and of the largest value in merged raw values
 FINER = 256  # how much finer dark parts are developed where 16 bits are too coarse for them

@@ -14,15 +14,15 @@ from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import checked_scene
-from gpusim.frame import Exposure
 from gpusim.kernels.sensor.shutter import shutter
+from gpusim.optics.shutter import shutter_weights
+from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.metering import metered
+from gpusim.pipeline.planning import given, probes_for
+from gpusim.pipeline.program import exposed
+from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
-from gpusim.planner.shutter import shutter_weights
-from gpusim.program.kept import Kept
-from gpusim.program.metering import metered
-from gpusim.program.planning import given, probes_for
-from gpusim.program.program import exposed
-from gpusim.simulator import Simulator
 
 COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # of instants: each has those of the one before
 ENOUGH = 0.5  # of a tolerance

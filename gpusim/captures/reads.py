@@ -3,8 +3,8 @@
 import numpy as np
 
 from gpusim.domain.scene import Scene
+from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
-from gpusim.simulator import Simulator
 
 
 def read_nondestructively(simulator: Simulator, scene: Scene, times, *, seed: int = 0, frame: int = 0,

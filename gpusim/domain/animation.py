@@ -6,11 +6,11 @@ from math import ceil, cos, floor, sin
 import numpy as np
 import scipy.ndimage
 
-from gpusim.domain.brief import brief
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.short_repr import brief
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
+from gpusim.domain.short_repr import brief
 
 PINHOLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")  # OpenCV's order
 FISHEYE = ("k1", "k2", "k3", "k4")

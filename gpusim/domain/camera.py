@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from gpusim.domain.brief import shortened
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.labels import Tabled
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
-from gpusim.domain.shown import Tabled
+from gpusim.domain.short_repr import shortened
 
 
 def checked_camera(camera) -> "Camera":

@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gpusim.domain.brief import span
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.foreign import described, to_host, type_of
 from gpusim.domain.memory import Pinned
+from gpusim.domain.short_repr import span
 from gpusim.domain.spectrum import check_wavelengths
 
 NUMBERS, WHOLE = "fiub", "iub"  # kinds of types that samples, and numbers of materials, may have

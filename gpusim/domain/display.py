@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, check_range
+from gpusim.domain.short_repr import brief
 from gpusim.domain.spectrum import Spectrum
 
 

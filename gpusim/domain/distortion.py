@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.calibration import BrownConrady, Calibration, Fisheye, Framed, check_model
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.short_repr import brief
 
 SAMPLES = 4097  # of the field height, for the search of a turning point and the start of Newton's method
 NEWTON_STEPS = 20  # quadratic convergence from a start within 1/SAMPLES takes four; more only near a turning point

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.short_repr import brief
 
 DOMAINS = ("root", "linear")
 XYZ = ("X", "Y", "Z")

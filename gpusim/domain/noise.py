@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
+from gpusim.domain.short_repr import brief
 
 PHOTONS = ("fast", "exact", "none")
 ELEMENTARY_CHARGE = 1.602176634e-19  # [C], exact (SI 2019)

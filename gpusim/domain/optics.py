@@ -5,11 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
+from gpusim.domain.short_repr import brief
 from gpusim.domain.spectrum import Spectrum
 
 MODELS = ("diffraction", "measured", "none")

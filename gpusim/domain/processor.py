@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, is_known
 from gpusim.domain.learned import FilterTable
+from gpusim.domain.short_repr import brief
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
@@ -31,7 +31,7 @@ class Processor:
     white_balance: "illuminant" (the scene's light is known; a perfect diffuser comes out neutral), an estimate from the
         picture ("gray-world", "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white reads
         `white`), or "none" (as if the light were `target`).
-    color: how the 3 x C transform to CIE XYZ is chosen (see `gpusim.planner.color.color_matrix`), or "none" (channels
+    color: how the 3 x C transform to CIE XYZ is chosen (see `gpusim.color.color.color_matrix`), or "none" (channels
         go to the display as they are).
     training: name of the reflectance set that the transform is trained on.
     target: the light in which the picture shows the scene's surfaces.
@@ -66,7 +66,7 @@ class Processor:
             if not is_known(getattr(self, key), known):
                 raise UnknownName(f"processor.{key}", str(getattr(self, key)), known)
         check_range("processor", self, "shading", "True or False", lambda value: isinstance(value, bool))
-        check_range("processor", self, "table", "a FilterTable, see `gpusim.data.learned.read_table`",
+        check_range("processor", self, "table", "a FilterTable, see `gpusim.io.camera.learned.read_table`",
                     lambda value: isinstance(value, FilterTable))
         check_range("processor", self, "denoise", "0 (none) .. 4", lambda value: 0 <= value <= 4)
         if self.table is not None and self.demosaic != "learned":

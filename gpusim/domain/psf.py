@@ -7,8 +7,8 @@ import numpy as np
 import scipy
 from scipy.special import erf
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.short_repr import brief
 
 
 @dataclass(frozen=True, eq=False)

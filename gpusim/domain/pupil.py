@@ -10,8 +10,8 @@ from math import comb, factorial
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.short_repr import brief
 
 LONGEST_WAVEFRONT = 40.0  # [waves] beyond it the kernel is that of geometrical optics, and quadrature is wasted
 

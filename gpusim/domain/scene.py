@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gpusim.domain.brief import brief, shortened
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import is_array
-from gpusim.domain.shown import Pictured
+from gpusim.domain.labels import Pictured
+from gpusim.domain.short_repr import brief, shortened
 from gpusim.domain.spectrum import Spectrum, seen_band
 from gpusim.domain.view import View
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_range, shown
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
+from gpusim.domain.short_repr import brief
 from gpusim.domain.spectrum import Spectrum
 
 HUGE = 1e12  # more than any electrons, seconds or gain; squares of it are far from float32's limit

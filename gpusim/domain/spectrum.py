@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.brief import shortened, span
 from gpusim.domain.errors import BadData
+from gpusim.domain.short_repr import shortened, span
 
 PLANCK = 6.62607015e-34  # [J s], exact (SI 2019)
 LIGHT_SPEED = 299792458.0  # [m s-1], exact

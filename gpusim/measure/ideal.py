@@ -8,8 +8,8 @@ from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
-from gpusim.planner.sampling import AREA, frame_start, pixel_taps
-from gpusim.planner.weights import product_weights
+from gpusim.optics.sampling import AREA, frame_start, pixel_taps
+from gpusim.optics.weights import product_weights
 
 DAYLIGHT = "D65"  # assumed where the scene's light is not known
 PERIOD = 8  # of the largest mosaic [pixel]: of a binned one only whole periods are kept

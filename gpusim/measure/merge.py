@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.domain.short_repr import brief
 
 MARGIN = 5.0  # standard deviations of a read below the well that still count as full: one saturated value in 3e6 passes
 

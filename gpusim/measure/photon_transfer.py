@@ -7,8 +7,8 @@ from numbers import Real
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.short_repr import brief
 
 QUANTISATION = 1 / 12  # variance of rounding to whole digital numbers [DN^2]
 LEAST_DARK_VARIANCE = 0.24  # [DN^2]; below, rounding hides the dark noise and the standard puts this instead

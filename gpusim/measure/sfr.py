@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.brief import brief
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.short_repr import brief
 
 BINS = 4  # to a pixel along the edge's normal
 LEAST = 10  # rows and columns of a picture, and twice the pixels on each side of the edge

@@ -13,7 +13,7 @@ from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.measure.difference import cielab, eye_filtered, shown
-from gpusim.planner.weights import product_weights
+from gpusim.optics.weights import product_weights
 
 MIDDLE = 0.8  # part of rows and columns that is judged: at the border a mirrored picture's noise is less blurred
 

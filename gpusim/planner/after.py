@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
-from gpusim.planner.models import highlights, spectral
+from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.operation import Operation
 from gpusim.planner.plan import Plan
 from gpusim.planner.question import Question

@@ -3,8 +3,8 @@
 import numpy as np
 
 from gpusim.domain.errors import OutOfRange
+from gpusim.optics.field import image_error
 from gpusim.optics.lens import PupilLens, wavelength_nodes
-from gpusim.planner.field import image_error
 
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
 SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]

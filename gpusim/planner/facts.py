@@ -9,16 +9,16 @@ import scipy
 
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
-from gpusim.planner.depth import flattened
-from gpusim.planner.fusion import Spectra, row_pairs
-from gpusim.planner.sampling import Moments, moments
+from gpusim.optics.depth import flattened
+from gpusim.optics.fusion import Spectra, row_pairs
+from gpusim.optics.sampling import Moments, moments
 
 MUCH = 16  # times the mean of all pairs' light from which on a pair of rows is looked at for certain
 MOST_BRIGHT = 32  # such pairs
 
 
 class Samples(Protocol):
-    """What is read of a content, which may be on a device: see `gpusim.program.reading.Reading`."""
+    """What is read of a content, which may be on a device: see `gpusim.pipeline.reading.Reading`."""
 
     def rows(self, chosen) -> Content:
         """Whole rows of the samples, int (n,), in host memory."""

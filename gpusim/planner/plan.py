@@ -7,28 +7,28 @@ from functools import cache, cached_property
 import numpy as np
 
 from gpusim.domain.account import Account, Bound, Verdict, total
-from gpusim.domain.brief import shortened
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
+from gpusim.domain.short_repr import shortened
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.drift import Watch
+from gpusim.optics.field import FieldBlur
+from gpusim.optics.geometry import DistortionGrid
+from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
+from gpusim.optics.planned_tables import Kept, made_anew
+from gpusim.optics.sampling import Taps
 from gpusim.optics.tiling import Tiling
-from gpusim.planner.depth import DepthPlan
-from gpusim.planner.drift import Watch
 from gpusim.planner.facts import Facts
-from gpusim.planner.farfield import FarField
-from gpusim.planner.field import FieldBlur
-from gpusim.planner.geometry import DistortionGrid
-from gpusim.planner.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
-from gpusim.planner.models import blur, border, depth, falloff, geometry, highlights, sampling, spectral
-from gpusim.planner.models.field import doubt_of
+from gpusim.planner.knobs import blur, border, depth, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.knobs.farfield import FarField
+from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.notes import Notes
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
-from gpusim.planner.sampling import Taps
 from gpusim.planner.search import HEADROOM, REMEDIES, Candidate, chosen, front, options, remedy
-from gpusim.planner.tables import Kept, made_anew
 
 STORED = 2.0**-24 / 3**0.5  # relative RMS of electrons stored as float32: evenly up to half of the last bit
 LETTERS = 12  # of a plan's name

@@ -13,11 +13,11 @@ import scipy.ndimage
 
 from gpusim.domain.account import Bound
 from gpusim.domain.view import View
-from gpusim.planner.border import border_indices
+from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
+from gpusim.optics.geometry import interpolated_share, interpolation_error
+from gpusim.optics.outside import border_indices
+from gpusim.optics.windows import Windows, quantile
 from gpusim.planner.facts import Facts
-from gpusim.planner.fusion import SAMPLED_PERIOD, in_range
-from gpusim.planner.geometry import interpolated_share, interpolation_error
-from gpusim.planner.windows import Windows, quantile
 
 SIDE, RIM = SAMPLED_PERIOD, 12  # of a window, and of what of it does not count, on each side [sample]
 INNER = SIDE - 2 * RIM

@@ -17,10 +17,10 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lens import open_lens, spread_radius
+from gpusim.optics.planned_tables import Kept, Tables
+from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
-from gpusim.planner.tables import Kept, Tables
-from gpusim.planner.weights import check_light, electrons_per_content
 
 MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
 SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas

@@ -10,9 +10,9 @@ from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.splines import multiplications
 from gpusim.optics.tiling import Tiling
-from gpusim.planner.farfield import FarField
-from gpusim.planner.models.border import Surroundings
-from gpusim.planner.models.spectral import Way
+from gpusim.planner.knobs.border import Surroundings
+from gpusim.planner.knobs.farfield import FarField
+from gpusim.planner.knobs.spectral import Way
 from gpusim.planner.question import Question
 
 FLOP_PER_BYTE = 0.5  # that a device does in the time of a byte: .5 on two cores by PoCL, 1 on an H200

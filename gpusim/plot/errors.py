@@ -7,11 +7,11 @@ import numpy as np
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import checked_scene
 from gpusim.domain.tolerance import Tolerance
-from gpusim.forecast import Forecast
+from gpusim.judge.plan_summary import Forecast
+from gpusim.judge.truth import require_truth, seen
+from gpusim.pipeline.report import Error, Report
+from gpusim.pipeline.simulator import Simulator
 from gpusim.plot.canvas import BAR, CHANNELS, QUIET, axes_of, error_map, panels, picture_size
-from gpusim.report import Error, Report
-from gpusim.simulator import Simulator
-from gpusim.truth import require_truth, seen
 
 HIGH = 99.9  # percentile of |error| that has full colour
 UNITS = {"rms": "relative rms error of the mean electrons", "p999_sigma": "error / noise sigma, 99.9 % of pixels",
@@ -48,9 +48,9 @@ def error(simulator: Simulator, scene, ax=None) -> Any:
 def plan(what, figure=None) -> Any:
     """Bars of a plan or of a frame: time of every stage, and error of every cause with all together.
 
-    what: a Forecast, what `gpusim plan` prints (`gpusim.forecast.Forecast.of(simulator, scene)`), or a frame's Report.
-    The error's figure is the one that the tolerance binds most. figure: of matplotlib, to draw on; None: a new one.
-    Returns it. Raises BadData, Missing.
+    what: a Forecast, what `gpusim plan` prints (`gpusim.judge.plan_summary.Forecast.of(simulator, scene)`), or a
+    frame's Report. The error's figure is the one that the tolerance binds most. figure: of matplotlib, to draw on;
+    None: a new one. Returns it. Raises BadData, Missing.
     """
     if isinstance(what, Forecast):
         account, tolerance, ms = what.plan.account, what.plan.tolerance, what.ms

@@ -12,7 +12,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName, shown
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.lens import open_lens, spread_radius
 from gpusim.optics.response import lens_response, spread_at
-from gpusim.planner.weights import product_weights
+from gpusim.optics.weights import product_weights
 from gpusim.plot.canvas import (
     QUIET,
     axes_of,

@@ -21,9 +21,9 @@ from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import LONGEST, SHORTEST, Spectrum, energy_from_photons, energy_per_photon
 from gpusim.domain.view import View
 from gpusim.measure.ideal import pixel_sums, sample_sums
-from gpusim.planner.border import rule_of
-from gpusim.planner.sampling import frame_start
-from gpusim.planner.weights import electrons_per_content, product_weights
+from gpusim.optics.outside import rule_of
+from gpusim.optics.sampling import frame_start
+from gpusim.optics.weights import electrons_per_content, product_weights
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
 MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}  # of borders, as SciPy names them
@@ -170,7 +170,7 @@ def optical_image(camera: Camera, scene: Scene, ax=None, *, device="auto") -> An
 
 def irradiance_codes(camera: Camera, scene: Scene, device="auto") -> tuple[np.ndarray, float]:
     """Codes 0 .. 1 (rows, cols, 3) in sRGB of the irradiance behind a lens, and the illuminance that is white [lx]."""
-    from gpusim.simulator import Simulator
+    from gpusim.pipeline.simulator import Simulator
 
     camera, scene = checked_camera(camera), checked_scene(scene)
     eye = energy_from_photons(cmf())

@@ -8,13 +8,13 @@ import numpy as np
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene
-from gpusim.frame import Frame
+from gpusim.pipeline.frame import Frame
+from gpusim.pipeline.report import Report
 from gpusim.plot.cameras import camera as camera_plot
 from gpusim.plot.canvas import window
 from gpusim.plot.errors import plan
 from gpusim.plot.light import inspect, radiance_codes
 from gpusim.plot.pictures import picture
-from gpusim.report import Report
 
 PLOTS = {Frame: picture, Scene: inspect, Camera: camera_plot, Report: plan}
 LEAST, MOST = 256, 1024  # pixels along the longer side of a notebook's picture

@@ -129,7 +129,7 @@ def _response(what, seed, device):
         return what, ["" if len(letters) == 1 else str(one) for one in letters], "", pitch
     pitch = None
     if isinstance(what, Camera):
-        from gpusim.simulator import Simulator
+        from gpusim.pipeline.simulator import Simulator
 
         height, width = what.sensor.binning
         pitch = what.sensor.pixel_pitch * height if height == width else None

@@ -14,8 +14,8 @@ from gpusim.measure.mosaic import colored
 from gpusim.measure.photon_transfer import PhotonTransfer
 from gpusim.measure.photon_transfer import photon_transfer as measured
 from gpusim.measure.snr import snr_curve
+from gpusim.pipeline.readout import Readout
 from gpusim.plot.canvas import CHANNELS, QUIET, axes_of, channel_colors, curve, finish, image, legend_once, picture_size
-from gpusim.readout import Readout
 
 RAW_GAMMA = 2.2  # of the mosaic's picture
 SPREAD, CUT = 5.0, 4.0  # sigmas of a histogram, and from black or saturation within which noise is cut off

@@ -8,7 +8,7 @@ m, n) float32 [1], m and n odd, index (tiles, terms) int32, mix (channels, plane
           mix[c, p] kernels[index[t, k], p] * (coefficients_k planes_p in t)
 
 The weights are those of the *source* pixel (light is spread from where it falls, flux is kept). Tiles divide the
-source. Two methods are this one sum (planner/field.py makes the maps): overlap-add of interpolated kernels, with a
+source. Two methods are this one sum (optics/field.py makes the maps): overlap-add of interpolated kernels, with a
 tile for each cell of a grid of kernels and a term for each kernel that is mixed there; and eigen-kernels, with one
 tile and a term for each. A tile's terms are transformed, added up, and transformed back once per channel.
 """

@@ -5,7 +5,7 @@ Ports: planes (planes, fine_rows, fine_cols) float32, starts int32 (rows,) and (
 
     out(y, x) = sum over s, t of  weights_y[y, s] weights_x[x, t] planes(start_y[y] + s, start_x[x] + t).
 
-The planner makes the weights so that a pixel is the mean over its aperture (`gpusim.planner.sampling`).
+The planner makes the weights so that a pixel is the mean over its aperture (`gpusim.optics.sampling`).
 """
 
 import numpy as np

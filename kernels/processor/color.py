@@ -13,7 +13,7 @@ from gpusim.kernels.stage import Case, stage
 def color(device, camera, matrix, *, ceiling=None):
     """Matrix product over the channels of every pixel; white balance is part of the matrix.
 
-    camera: shape (C, rows, cols). matrix: shape (3, C), `gpusim.planner.color`. ceiling: shape (C,) or None. Camera
+    camera: shape (C, rows, cols). matrix: shape (3, C), `gpusim.color.color`. ceiling: shape (C,) or None. Camera
     values above it are clipped first: with the camera's response to white, scaled so that its largest entry is the
     saturation level, blown-out highlights turn white instead of taking the balance's tint. The result is not clipped
     (display.encode does): colours outside the display's gamut stay negative or above 1. NaN stays NaN.

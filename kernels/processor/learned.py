@@ -7,9 +7,9 @@ import functools
 
 import numpy as np
 
-from gpusim.data.learned import bayer_table
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bayer import RED, check_mosaic
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.levels import check_balance, root_loss

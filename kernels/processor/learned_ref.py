@@ -15,8 +15,8 @@ square of such an output lacks (1 - S) of what the square of a mean of many lack
 
 import numpy as np
 
-from gpusim.data.learned import bayer_table
 from gpusim.domain.learned import Code, Layout
+from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bilinear_ref import bilinear
 from gpusim.kernels.processor.levels import root_loss
 

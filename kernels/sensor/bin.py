@@ -3,7 +3,7 @@
 Ports: pixels (rows, cols) float32 [e-] or uint16 [DN] -> (out_rows, out_cols) of the same type and unit.
 
 Pixels of one colour are `stride` apart, rows and columns alike: the mosaic's period, or 1 where `binning` pixels of one
-colour are adjacent (`gpusim.planner.binning`). Output row Y takes, with a = Y mod stride and B = Y div stride, the rows
+colour are adjacent (`gpusim.domain.binning`). Output row Y takes, with a = Y mod stride and B = Y div stride, the rows
 
     B stride binning + a + stride j,   j = 0 .. binning - 1,
 

@@ -5,7 +5,7 @@ Ports: rates (instants, rows, cols) float32 [e- s-1], weights (rows, instants) f
 
     mean(y, x) = sum over k of  weights[y, k] rates(k, y, x).
 
-A row that is exposed after the one above it has later weights (`gpusim.planner.shutter`). Of a row only the instants
+A row that is exposed after the one above it has later weights (`gpusim.optics.shutter`). Of a row only the instants
 between its first and its last weight that is not zero are read: (m + 1) 4 byte a pixel for m of them.
 """
 

@@ -1,7 +1,7 @@
 """Spectral integration of sampled or basis content: planes = W . content, one weighted sum over bands per plane.
 
 Ports: content (bands, rows, cols) float32 or float16, weights (planes, bands) float32 -> planes (planes, rows, cols)
-float32. The weights carry quantum efficiency, light and quadrature (`gpusim.planner.weights`), so the unit of the
+float32. The weights carry quantum efficiency, light and quadrature (`gpusim.optics.weights`), so the unit of the
 result is theirs times the content's. Content of float16 is half the memory and bus; each sample is widened to float32,
 exactly, before it is weighted, so the result is that of the same values in float32.
 """

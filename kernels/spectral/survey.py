@@ -12,7 +12,7 @@ shading as the entry of that number, and 0 in the others. Per pair of neighbouri
     2  the upper row       of the same for the difference to the row below; 0 where that is the last row itself
 
 with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the second. They are
-p^T M p and the trace of moments M = E[c c^T], of which a plan's predicted error is made (`gpusim.planner.drift`),
+p^T M p and the trace of moments M = E[c c^T], of which a plan's predicted error is made (`gpusim.optics.drift`),
 without the moments themselves. Differences are taken before projections, which a smooth picture would lose in rounding
 otherwise.
 """

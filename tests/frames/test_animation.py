@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.special import erf
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, OutOfRange
 
 WAVELENGTHS, RANDOM = np.linspace(400, 700, 7), np.random.default_rng(2)

@@ -10,7 +10,7 @@ from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, UnknownName
-from gpusim.program.host import undeclared
+from gpusim.pipeline.host import undeclared
 
 SIZE, COUNT = (96, 64), 3
 

@@ -9,7 +9,6 @@ from devices import ALL_KINDS, DEVICES, KINDS
 from scipy.signal import fftconvolve
 
 import gpusim
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
@@ -17,13 +16,14 @@ from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import pillbox_kernel
 from gpusim.domain.scene import Layer, Scene, unit_light
-from gpusim.hard.truth import relative
-from gpusim.io.npz import read_npz, write_npz
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.scene.npz import read_npz, write_npz
+from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.planner.depth import circle_of_confusion, distance_of, plan_depth
-from gpusim.simulator import Simulator
+from gpusim.optics.depth import circle_of_confusion, distance_of, plan_depth
+from gpusim.pipeline.simulator import Simulator
 
 PITCH = 2e-6
 LENS = Optics(f_number=2.0, focal_length=5e-3, object_distance=0.4)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from devices import KINDS
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.data.displays import open_display
 from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.program.shots import Shots
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.simulator import Simulator
 
 # by default on one device: the stages' own tests run on all, and whole pictures take long to build
 FIRST = [KINDS[0], *(kind if hasattr(kind, "marks") else pytest.param(kind, marks=pytest.mark.slow)
@@ -159,7 +159,7 @@ def test_mosaics_that_a_method_does_not_know():
 
 
 def test_table_of_another_mosaic():
-    from gpusim.data.learned import bayer_table
+    from gpusim.io.camera.learned import bayer_table
 
     with pytest.raises(UnknownName, match="mosaic"):
         camera_with(sensor={"cfa": ("RGB", "GBR", "BRG")}, demosaic="learned", table=bayer_table())
@@ -288,8 +288,8 @@ def test_shading_of_binned_pixels(binning):
 
 
 def test_xyz_tables_balance_white_themselves():
+    from gpusim.apps.l3.layout import layout
     from gpusim.domain.learned import FilterTable
-    from gpusim.l3.layout import layout
 
     made = layout(("RG", "GB"), ("X", "Y", "Z"))
     table = FilterTable(made, np.zeros(made.shape))

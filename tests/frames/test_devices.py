@@ -174,8 +174,9 @@ def test_where_no_opencl_works_one_line_says_so(probed, monkeypatch, caplog):
 def test_a_package_that_is_missing_is_said_in_one_line(package, device, tmp_path):
     (tmp_path / package).mkdir()
     (tmp_path / package / "__init__.py").write_text(f"raise ModuleNotFoundError('No module named {package}')\n")
-    found = run("from gpusim.cli import main; import sys; sys.exit(main(sys.argv[1:]))", "simulate", "flat", "--camera",
-                "phone", "--size", "16x16", "--device", device, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    found = run("from gpusim.cli.main import main; import sys; sys.exit(main(sys.argv[1:]))", "simulate", "flat",
+                "--camera", "phone", "--size", "16x16", "--device", device, PYTHONPATH=str(tmp_path),
+                XDG_CACHE_HOME=str(tmp_path))
     assert found.returncode == 2
     (line,) = found.stderr.splitlines()
     assert package in line and "pip install" in line and len(line) < 500
@@ -413,7 +414,7 @@ def test_kernels_of_wide_vectors_are_found_again(environment, request, tmp_path)
 
 @pytest.mark.slow
 def test_every_stage_is_right_on_an_unknown_processor(unknown_processor):
-    found = run("from gpusim.cli import main; import sys; sys.exit(main(['verify', '--device', 'opencl:0']))",
+    found = run("from gpusim.cli.main import main; import sys; sys.exit(main(['verify', '--device', 'opencl:0']))",
                 **unknown_processor)
     assert found.returncode == 0 and " 0 failed" in found.stdout
 

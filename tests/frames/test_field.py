@@ -8,12 +8,12 @@ from devices import DEVICES, KINDS
 
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.hard.field import ONE, SIZE, measured_lens, of_mild_lens, seam
-from gpusim.hard.field import blurred as blurred_on
-from gpusim.hard.lenses import MILD, STRONG, kernel, scattered, scattered_at, seidel_lens
-from gpusim.hard.lenses import textured as natural
+from gpusim.judge.hard.field import ONE, SIZE, measured_lens, of_mild_lens, seam
+from gpusim.judge.hard.field import blurred as blurred_on
+from gpusim.judge.hard.lenses import MILD, STRONG, kernel, scattered, scattered_at, seidel_lens
+from gpusim.judge.hard.lenses import textured as natural
 from gpusim.kernels.optics.field import field, transfer
-from gpusim.planner.field import choose, eigen_kernels, image_error, overlap_add
+from gpusim.optics.field import choose, eigen_kernels, image_error, overlap_add
 
 
 def blurred(plane, blur, device, border="reflect", **more):

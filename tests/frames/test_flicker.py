@@ -8,9 +8,9 @@ from cameras import camera_with
 from devices import KINDS
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.errors import OutOfRange
-from gpusim.planner.shutter import shutter_weights
+from gpusim.optics.shutter import shutter_weights
 
 LIGHTS = [gs.Flicker(100, 0.4, phase=0.3), gs.Flicker(120), gs.Flicker(250, duty=0.3, phase=0.77),
           gs.Flicker(333, duty=1.0, phase=-2.2)]

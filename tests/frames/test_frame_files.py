@@ -6,9 +6,9 @@ import tifffile
 from cameras import camera_with
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.errors import OutOfRange
-from gpusim.io.frames import BITS
+from gpusim.io.frame.frames import BITS
 
 
 def openimageio(path, kind):

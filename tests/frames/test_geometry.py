@@ -7,17 +7,17 @@ import pytest
 from devices import ALL_KINDS, KINDS
 
 from gpusim.backends import open_device
-from gpusim.data.cameras import open_camera
 from gpusim.data.lights import illuminant
 from gpusim.domain.content import Cube
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
+from gpusim.io.camera.cameras import open_camera
 from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
-from gpusim.planner.geometry import distortion_grid, microlens_gain, relative_illumination
-from gpusim.simulator import Simulator
+from gpusim.optics.geometry import distortion_grid, microlens_gain, relative_illumination
+from gpusim.pipeline.simulator import Simulator
 
 PITCH = 1.4e-6
 HEIGHTS = np.linspace(0, 1.5, 31) * 1e-3

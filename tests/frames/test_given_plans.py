@@ -13,11 +13,11 @@ from devices import ALL_KINDS
 from PIL import Image
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.apps.pairs.pairs import Pairs
+from gpusim.apps.pairs.variety import Variety
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, NotMet
 from gpusim.domain.tolerance import Tolerance
-from gpusim.pairs.pairs import Pairs
-from gpusim.pairs.variety import Variety
 
 SIZE, COUNT, SEED = (48, 32), 3, 4
 MONO = gs.open_camera("mono")

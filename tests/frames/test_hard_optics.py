@@ -11,14 +11,14 @@ from gpusim.backends import open_device
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
-from gpusim.hard.diffraction import sampled_error
-from gpusim.hard.planner import library, response_of
-from gpusim.hard.scenes import CAMERA, LIGHT, WAVELENGTHS, electrons, natural
+from gpusim.judge.hard.diffraction import sampled_error
+from gpusim.judge.hard.planner import library, response_of
+from gpusim.judge.hard.scenes import CAMERA, LIGHT, WAVELENGTHS, electrons, natural
+from gpusim.judge.truth import true_mean
+from gpusim.optics.fusion import Spectra, channel_operator, joint_operator
+from gpusim.optics.highlights import CORE, airy_density, point_kernels
 from gpusim.optics.lengths import transform_lengths
-from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
-from gpusim.planner.highlights import CORE, airy_density, point_kernels
-from gpusim.simulator import Simulator
-from gpusim.truth import true_mean
+from gpusim.pipeline.simulator import Simulator
 
 
 def test_the_kernels_of_points_are_integrals_over_the_pixel():

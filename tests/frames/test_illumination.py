@@ -10,13 +10,13 @@ from devices import ALL_KINDS, KINDS
 from foreign_arrays import Tensor
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, BadFile, UnknownName
 from gpusim.domain.scene import unit_light
-from gpusim.io.npz import read_npz, write_npz
-from gpusim.program.reading import Reading, store
+from gpusim.io.scene.npz import read_npz, write_npz
+from gpusim.pipeline.reading import Reading, store
 
 SHAPE = ROWS, COLS = 24, 36
 RAMP = np.linspace(0, 1, COLS, dtype=np.float32) * np.ones((ROWS, 1), np.float32)

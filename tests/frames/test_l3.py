@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpusim.data import cameras
-from gpusim.data.cameras import open_camera
+from gpusim.apps.l3.layout import layout
+from gpusim.apps.l3.scenes import training_scenes
+from gpusim.apps.l3.train import train, training_camera, wanted_colors
+from gpusim.cli.train_l3 import add_command, luminances
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.data.colorimetry import cmf, xyz
 from gpusim.data.curves import curve
-from gpusim.data.learned import read_table, write_table
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Cube, Materials
@@ -26,14 +27,13 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.io.images import write_png
-from gpusim.io.photo import lift
-from gpusim.io.scenes import mean_luminance
-from gpusim.l3.cli import add_command, luminances
-from gpusim.l3.layout import layout
-from gpusim.l3.scenes import training_scenes
-from gpusim.l3.train import train, training_camera, wanted_colors
-from gpusim.simulator import Simulator
+from gpusim.io.camera import cameras
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.camera.learned import read_table, write_table
+from gpusim.io.frame.images import write_png
+from gpusim.io.scene.photo import lift
+from gpusim.io.scene.scenes import mean_luminance
+from gpusim.pipeline.simulator import Simulator
 
 NODES = np.concatenate([[40, 399], np.arange(400, 701, 10), [701, 7000]])  # curves are zero outside 400 .. 700 nm
 

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from gpusim.cli import main
-from gpusim.video import lerobot
+from gpusim.apps.video import lerobot
+from gpusim.cli.main import main
 
 KEY = "observation.images.phone"
 FPS = 10

@@ -11,10 +11,10 @@ from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
-from gpusim.cli import main
-from gpusim.video.loops import Lags, follow, metered
-from gpusim.video.ramps import Ramps
-from gpusim.video.video import blurred_frames, frames
+from gpusim.apps.video.loops import Lags, follow, metered
+from gpusim.apps.video.ramps import Ramps
+from gpusim.apps.video.video import blurred_frames, frames
+from gpusim.cli.main import main
 
 PERIOD, COUNT = 1 / 30, 12
 SCENE = gs.chart("ramp", size=(24, 16))

@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 from test_sfr import EVEN, FIVE, figure8, reach, unseen
 
 from gpusim import Display, Noise, Simulator, chart, open_camera
+from gpusim.color.color import color_matrix
 from gpusim.data.charts import colorchecker_patches
 from gpusim.data.displays import displayed, open_display
 from gpusim.data.lights import illuminant
@@ -18,7 +19,6 @@ from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import photons_from_energy
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
 from gpusim.measure import ciede2000, ideal, mtf50, scielab, sfr, snr, visible_snr
-from gpusim.planner.color import color_matrix
 
 NODES = np.arange(400.0, 701.0, 10.0)
 

@@ -9,10 +9,10 @@ from cameras import PHONE
 from devices import KINDS
 
 import gpusim as gs
+from gpusim.apps.video.scenes import Moving, Still
+from gpusim.apps.video.video import blurred_frames
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import Scene
-from gpusim.video.scenes import Moving, Still
-from gpusim.video.video import blurred_frames
 
 SECONDS, ROW_TIME, START = 0.01, 4e-5, 0.3
 PATHS = (gs.Motion(pan=(80, 250)), gs.Motion(pan=(0, 300), roll=1.5, zoom=1.1, zooming=1.5), gs.Motion(shake=6, seed=3))

@@ -10,7 +10,7 @@ import pytest
 from devices import KINDS
 from scipy.optimize import brentq
 
-from gpusim.hard.diffraction import ANGLE, mtf50, overshoot, picture, slanted_edge, system_mtf50
+from gpusim.judge.hard.diffraction import ANGLE, mtf50, overshoot, picture, slanted_edge, system_mtf50
 
 
 @pytest.mark.parametrize("device", KINDS)

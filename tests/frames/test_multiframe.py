@@ -16,7 +16,7 @@ from gpusim.kernels.processor.align import TILE, align
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
-from gpusim.simulator import Simulator
+from gpusim.pipeline.simulator import Simulator
 
 PHONE = gs.open_camera("phone")
 COUNT = 8  # frames of a burst

@@ -16,10 +16,10 @@ from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.apps.pairs.pairs import Pairs
+from gpusim.apps.pairs.variety import Variety
+from gpusim.cli.main import main
 from gpusim.domain.account import SHOWN
-from gpusim.pairs.pairs import Pairs
-from gpusim.pairs.variety import Variety
 
 
 @pytest.fixture(scope="module")

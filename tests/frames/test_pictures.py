@@ -16,8 +16,8 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.foreign import type_of
 from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
+from gpusim.pipeline.imaging import Imaging
 from gpusim.planner.facts import Facts
-from gpusim.program.imaging import Imaging
 
 SHAPE = (48, 64)
 MOST = {np.uint8: 255, np.uint16: 65535}

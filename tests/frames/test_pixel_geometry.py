@@ -8,7 +8,6 @@ from devices import ALL_KINDS, KINDS
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erf, j1
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube, Materials
 from gpusim.domain.distortion import RadialPolynomial
@@ -17,15 +16,16 @@ from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.camera.cameras import open_camera
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.geometry import vignetting_gain
 from gpusim.optics.lens import PupilLens
 from gpusim.optics.psf import psf_tables
+from gpusim.optics.sampling import sampling_error
+from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.facts import Facts
-from gpusim.planner.geometry import vignetting_gain
-from gpusim.planner.sampling import sampling_error
-from gpusim.simulator import Simulator
 
 BANDS = np.array([500.0, 550.0, 600.0])  # [nm]
 OBLONG, ASIDE = (1.0, 0.5), (0.5, -0.25)  # height and width, (rows, cols) [pixel]

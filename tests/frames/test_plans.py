@@ -12,14 +12,14 @@ from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
 from gpusim.domain.tolerance import Tolerance
-from gpusim.hard.planner import library, response_of
-from gpusim.hard.scenes import CAMERA, WAVELENGTHS, natural
-from gpusim.hard.truth import relative
+from gpusim.judge.hard.planner import library, response_of
+from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, natural
+from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.planner.fusion import Spectra, joint_operator
-from gpusim.simulator import Simulator
+from gpusim.optics.fusion import Spectra, joint_operator
+from gpusim.pipeline.simulator import Simulator
 
 LINES = {3: 1.2e-3, 4: 4e-4, 6: 1e-5}  # relative RMS errors that the ranks have to keep
 

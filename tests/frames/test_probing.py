@@ -1,6 +1,6 @@
 """Estimates after the fact: a kept plan is compared with exact values of later scenes, and what missed is remembered.
 
-The truth is `gpusim.truth`: every wavelength by itself in float64, which shares no plan and no window with them.
+The truth is `gpusim.judge.truth`: every wavelength by itself in float64, which shares no plan and no window with them.
 """
 
 from dataclasses import replace
@@ -15,9 +15,9 @@ from gpusim.domain.account import SAFETY
 from gpusim.domain.content import Basis
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import unit_light
+from gpusim.judge.truth import true_error
+from gpusim.pipeline.probing import Probing, kind_of
 from gpusim.planner.plan import Plan
-from gpusim.program.probing import Probing, kind_of
-from gpusim.truth import true_error
 
 CAMERA, SIZE, SECONDS = gs.open_camera("phone"), (160, 120), 0.01
 TOLERANCE = gs.Tolerance(p999_sigma=0.02)

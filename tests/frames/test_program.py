@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path, check_output
 from gpusim.io.exr import write_rgb_exr
@@ -33,7 +33,7 @@ def one_line(done, status, *parts):
 def refused(capsys, *arguments):
     """Message of the command in this process."""
     with pytest.MonkeyPatch.context() as patch:  # what is wrong is said before anything is read
-        patch.setattr("gpusim.data.cameras.open_camera", None)
+        patch.setattr("gpusim.io.camera.cameras.open_camera", None)
         assert main([str(argument) for argument in arguments]) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1, err
@@ -173,11 +173,12 @@ def test_a_full_standard_error_stops_no_work(unbuffered, tmp_path):
 # In a fork for each command and each way that streams can be: all is imported once
 EVERY_COMMAND = """
 import io, json, os, sys
-import gpusim.backends.probe, gpusim.bench, gpusim.cli, gpusim.forecast, gpusim.simulator, gpusim.verify
+import gpusim.backends.probe, gpusim.judge.bench, gpusim.cli.main, gpusim.judge.plan_summary
+import gpusim.pipeline.simulator, gpusim.judge.verify
 from gpusim.__main__ import start
 gpusim.backends.probe.devices = lambda refresh: [{"name": "a", "error": "no driver"}] * 9
 works = json.loads(sys.argv[1])
-works += [[name, "--help"] for name in gpusim.cli._parser()._subparsers._group_actions[0].choices]
+works += [[name, "--help"] for name in gpusim.cli.main._parser()._subparsers._group_actions[0].choices]
 found = []
 for arguments in works:
     for out, err in (("full", "file"), ("gone", "file"), ("file", "full"), ("file", "gone"), ("none", "file"),
@@ -247,9 +248,10 @@ sys.meta_path.insert(0, Finder())
 """ + START
 
 
-@pytest.mark.parametrize("module", ["gpusim.cli", "argparse", "json", "gpusim.domain.errors", "gpusim.data.cameras",
+@pytest.mark.parametrize("module", ["gpusim.cli.main", "argparse", "json", "gpusim.domain.errors",
+                                    "gpusim.io.camera.cameras",
                                     "numpy", "numpy._core._multiarray_umath", "gpusim.io.exr", "scipy.special",
-                                    "gpusim.simulator"])
+                                    "gpusim.pipeline.simulator"])
 def test_an_interruption_is_one_line_from_the_first_import_on(module):
     done = program(*FLAT, code=SIGNALLED.format(module=module, name="SIGINT"))
     assert (done.returncode, done.stderr) == (2, "gpusim: interrupted\n")
@@ -257,7 +259,7 @@ def test_an_interruption_is_one_line_from_the_first_import_on(module):
 
 WORKING = """
 import sys, time, types
-cli = types.ModuleType("gpusim.cli")
+cli = types.ModuleType("gpusim.cli.main")
 def main():
     from gpusim.io.atomic import atomic_path
     with atomic_path("a.npz") as temporary:
@@ -265,7 +267,7 @@ def main():
         print("writing", flush=True)
         time.sleep(60)
 cli.main = main
-sys.modules["gpusim.cli"] = cli
+sys.modules["gpusim.cli.main"] = cli
 """ + START
 
 

@@ -9,10 +9,10 @@ from cameras import PHONE
 from devices import KINDS
 
 import gpusim as gs
-from gpusim.cli import main
-from gpusim.video.ramps import Ramps
-from gpusim.video.scenes import Still
-from gpusim.video.video import frames
+from gpusim.apps.video.ramps import Ramps
+from gpusim.apps.video.scenes import Still
+from gpusim.apps.video.video import frames
+from gpusim.cli.main import main
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -31,7 +31,7 @@ def test_frames_are_those_of_their_own_settings(device, asked):
         if "exposure" in values:
             camera = replace(camera, sensor=replace(camera.sensor, exposure_time=values["exposure"]))
         if "iso" in values:
-            from gpusim.planner.speed import gain_for_speed
+            from gpusim.color.speed import gain_for_speed
 
             camera = replace(camera, sensor=replace(camera.sensor, analog_gain=gain_for_speed(
                 camera.sensor, values["iso"]), auto_exposure=replace(camera.sensor.auto_exposure, most_gain=1.0)))

@@ -15,10 +15,10 @@ from gpusim.domain.content import Cube
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
+from gpusim.judge.truth import seen
+from gpusim.optics.planned_tables import made_anew
+from gpusim.pipeline.cache import Kept
 from gpusim.planner.plan import plan
-from gpusim.planner.tables import made_anew
-from gpusim.program.kept import Kept
-from gpusim.truth import seen
 
 CPU = "opencl:pocl"
 TOLERANCES = (None, "preview", "video", "3e-5", Tolerance(rms=1e-3))

@@ -7,10 +7,11 @@ import pytest
 from devices import ALL_KINDS, DEVICES
 
 import gpusim as gs
+from gpusim.color.shading import phase_gains, relative_response, shading_gains
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Microlens
-from gpusim.io.dng import write_dng
+from gpusim.io.frame.dng import write_dng
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.bilinear import bilinear
@@ -20,8 +21,7 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
 from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.shade import shade
-from gpusim.planner.shading import phase_gains, relative_response, shading_gains
-from gpusim.readout import Readout
+from gpusim.pipeline.readout import Readout
 
 BAYER = np.array([[0, 1], [1, 2]], np.int32)
 QUAD = BAYER.repeat(2, axis=0).repeat(2, axis=1)

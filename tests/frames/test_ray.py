@@ -8,8 +8,8 @@ from cameras import PHONE
 from devices import KINDS
 
 import gpusim as gs
+from gpusim.apps.tensors.ray import Frames
 from gpusim.domain.errors import BadData
-from gpusim.ray import Frames
 
 RANDOM = np.random.default_rng(6)
 PICTURES = RANDOM.random((10, 20, 24, 3)).astype(np.float32)

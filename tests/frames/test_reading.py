@@ -12,10 +12,10 @@ from gpusim.backends import open_device
 from gpusim.backends.tape import Tape, noted
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.foreign import type_of
-from gpusim.program import reading
-from gpusim.program.imaging import Imaging
-from gpusim.program.kept import Kept
-from gpusim.program.reading import Reading, store
+from gpusim.pipeline import reading
+from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline.reading import Reading, store
 
 WAVELENGTHS = np.linspace(400, 700, 31)
 SHAPE = (37, 53)

@@ -25,8 +25,8 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs
-from gpusim.program.imaging import Imaging
-from gpusim.simulator import Simulator
+from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline.simulator import Simulator
 
 Z = 4.5
 ULP = 2.0**-23  # of float32, relative: twice the largest rounding error

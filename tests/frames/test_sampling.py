@@ -8,21 +8,21 @@ import pytest
 from brute import Brute, spectra
 from devices import ALL_KINDS, DEVICES, KINDS
 
-from gpusim.cli import main
-from gpusim.data.cameras import open_camera
+from gpusim.cli.main import main
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import Cube, Materials
 from gpusim.domain.errors import GpusimError, OutOfRange
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene
-from gpusim.hard.truth import relative
-from gpusim.io.npz import write_npz
-from gpusim.io.scenes import open_scene
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.scene.npz import write_npz
+from gpusim.io.scene.scenes import open_scene
+from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
-from gpusim.planner.sampling import AREA, NODES, frame_start, pixel_taps
-from gpusim.simulator import Simulator
+from gpusim.optics.sampling import AREA, NODES, frame_start, pixel_taps
+from gpusim.pipeline.simulator import Simulator
 
 RATIOS = [1.25, 1.5, 2.0, 2.5, 3.0, np.pi, 4.0]
 FILLS = [1.0, 0.75]

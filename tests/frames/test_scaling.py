@@ -8,13 +8,13 @@ from devices import KINDS
 from scipy.interpolate import CubicSpline
 
 from gpusim import measure
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.simulator import Simulator
 
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
 EVEN = {"model": "none", "relative_illumination": "none"}

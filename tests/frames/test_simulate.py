@@ -15,12 +15,12 @@ from PIL import Image
 from scipy.interpolate import CubicSpline
 
 import gpusim
-from gpusim.cli import _parser, main
-from gpusim.data.cameras import open_camera
+from gpusim.cli.main import _parser, main
 from gpusim.data.charts import chart, colorchecker_patches
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.noise import Noise
-from gpusim.simulator import Simulator
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.simulator import Simulator
 
 
 def run(capsys, *argv):

@@ -17,9 +17,9 @@ from gpusim.domain.psf import PointSpread
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.processor.color import color
-from gpusim.program.host import STAGES, STEPS, undeclared
-from gpusim.program.kept import Kept
-from gpusim.program.program import Program
+from gpusim.pipeline.cache import Kept
+from gpusim.pipeline.host import STAGES, STEPS, undeclared
+from gpusim.pipeline.program import Program
 
 SIZE, FRAMES = (64, 48), 5
 
@@ -216,7 +216,7 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
     def through_the_host(*arguments, **options):
         return device.array(np.array(device.numpy(color(*arguments, **options))))
 
-    monkeypatch.setattr("gpusim.developer.color", through_the_host)
+    monkeypatch.setattr("gpusim.pipeline.developer.color", through_the_host)
     program = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).program(
         scenes_of("cube", device)[0])
     reads = Reads(device, monkeypatch)

@@ -124,7 +124,7 @@ def test_bad_settings():
 def test_tensors_give_tensors_without_gradients(device):
     import torch
 
-    from gpusim.torch import Frames
+    from gpusim.apps.tensors.torch import Frames
 
     expected = gs.Batch(PHONE, device=device)(PICTURES, exposure_time=0.01)
     given = torch.from_numpy(PICTURES).requires_grad_()
@@ -168,7 +168,7 @@ def test_workers_of_a_loader_make_the_same_pairs(device, tmp_path):
     import torch
     from torch.utils.data import DataLoader
 
-    from gpusim.torch import PairSet, PairStream
+    from gpusim.apps.tensors.torch import PairSet, PairStream
 
     for number in range(3):
         Image.fromarray(np.uint8(255 * RANDOM.random((24, 30, 3)))).save(tmp_path / f"{number}.png")
@@ -190,7 +190,7 @@ def test_workers_of_a_loader_make_the_same_pairs(device, tmp_path):
 
 @needs_torch
 def test_pairs_of_nothing_and_of_a_bad_range(tmp_path):
-    from gpusim.torch import PairSet
+    from gpusim.apps.tensors.torch import PairSet
 
     with pytest.raises(BadData, match="photographs: none"):
         PairSet([], PHONE)

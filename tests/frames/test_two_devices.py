@@ -24,7 +24,7 @@ from gpusim.domain.errors import DeviceError
 STAGES = "spectral.integrate", "optics.mosaic", "optics.falloff", "sensor.noise", "processor.malvar", "display.encode"
 RUN = """
 import json, sys
-from gpusim.cli import main
+from gpusim.cli.main import main
 for arguments in json.loads(sys.argv[1]):
     failure = main(arguments)
     if failure:

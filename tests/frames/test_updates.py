@@ -9,7 +9,7 @@ from devices import ALL_KINDS, KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.program.kept import One, same
+from gpusim.pipeline.cache import One, same
 
 SIZE = (96, 64)
 

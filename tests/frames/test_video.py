@@ -18,14 +18,14 @@ from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.apps.video.codecs import CODECS, Encoder
+from gpusim.apps.video.manifest import kept
+from gpusim.apps.video.pipeline import ahead
+from gpusim.apps.video.segments import Shard, segments_of
+from gpusim.apps.video.video import within_period
+from gpusim.apps.video.video_frames import TRANSFERS, Film, light_of
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadFile, OutOfRange
-from gpusim.video.codecs import CODECS, Encoder
-from gpusim.video.film import TRANSFERS, Film, light_of
-from gpusim.video.manifest import kept
-from gpusim.video.pipeline import ahead
-from gpusim.video.segments import Shard, segments_of
-from gpusim.video.video import within_period
 
 COUNT = 8
 ASKED = ["--camera", "phone", "--seed", "3", "--segment", "3"]
@@ -304,7 +304,7 @@ def test_a_manifest_of_a_faster_shard_is_not_written_over(tmp_path, monkeypatch)
         target.write_text('{"seed": 1}')
         raise FileExistsError
 
-    monkeypatch.setattr("gpusim.video.manifest.os.link", faster)
+    monkeypatch.setattr("gpusim.apps.video.manifest.os.link", faster)
     with pytest.raises(BadFile, match="other seed"), kept(path, {"seed": 2}, "it", lambda: True):
         pass
     assert path.read_text() == '{"seed": 1}' and list(tmp_path.iterdir()) == [path]
@@ -354,7 +354,7 @@ def test_a_full_disk_is_one_line(pictures, tmp_path, capsys, monkeypatch):
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr("gpusim.io.atomic.os.replace", full)
-    monkeypatch.setattr("gpusim.video.manifest.os.link", lambda source, path: shutil.copyfile(source, path))
+    monkeypatch.setattr("gpusim.apps.video.manifest.os.link", lambda source, path: shutil.copyfile(source, path))
     error = refused(capsys, "flat", "--size", "40x30", "--camera", "phone", "--device", "numpy", "-o",
                     tmp_path / "a.mp4")
     assert "No space left" in error and not list(tmp_path.rglob("*.mp4"))

@@ -15,10 +15,10 @@ from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.motion import FASTEST, Motion
 from gpusim.domain.scene import Scene
-from gpusim.io.npz import write_npz
+from gpusim.io.scene.npz import write_npz
+from gpusim.judge.truth import true_mean
 from gpusim.kernels.optics.distort import distort
 from gpusim.measure.ideal import ideal
-from gpusim.truth import true_mean
 
 WAVELENGTHS = np.linspace(420.0, 680.0, 4)
 LIGHT = gs.chart("flat").illuminant

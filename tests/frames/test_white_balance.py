@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from devices import ALL_KINDS
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.errors import OutOfRange
+from gpusim.io.camera.cameras import open_camera
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.program.shots import Shots
-from gpusim.simulator import Simulator
+from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.simulator import Simulator
 
 METHODS = {"malvar": malvar, "adaptive": adaptive, "best": best, "learned": learned}
 LIGHTS = ("D65", "A", *(pytest.param(light, marks=pytest.mark.slow) for light in ("FL11", "daylight-10000K")))

@@ -9,19 +9,19 @@ import pytest
 from cameras import PHONE
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.account import SAFETY, Account, Bound, total
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import NotMet
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
-from gpusim.planner.models.noise import without_negligible
+from gpusim.optics.windows import Windows
+from gpusim.planner.knobs.noise import without_negligible
+from gpusim.planner.knobs.rings import ring_errors
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE
-from gpusim.planner.rings import ring_errors
 from gpusim.planner.search import HEADROOM, WIDER, cost_of
-from gpusim.planner.windows import Windows
 
 
 def test_errors_of_independent_causes_add_in_the_mean_square():
@@ -183,7 +183,7 @@ def test_the_first_of_the_front_that_meets_is_chosen_and_dearer_ones_are_not_jud
         judged.append(given[2])
         return ring_errors(*given)
 
-    monkeypatch.setattr("gpusim.planner.models.border.ring_errors", counted)
+    monkeypatch.setattr("gpusim.planner.knobs.border.ring_errors", counted)
     tolerance = Tolerance(rms=rms)
     made = plan(gs.chart("colorchecker", size=(320, 200)), PHONE, tolerance=tolerance)
     before = len(judged)

@@ -16,8 +16,8 @@ from gpusim import measure
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.pupil import Pupil
-from gpusim.frame import Exposure
-from gpusim.report import Report
+from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.report import Report
 
 ROOT = Path(gs.__file__).resolve().parents[1]
 PHONE = gs.open_camera("phone")
@@ -350,8 +350,8 @@ def test_a_users_script_passes_a_strict_type_checker(tmp_path):
                               str(tmp_path / "cache"), "user.py", "shown.py"], capture_output=True, text=True,
                              cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""}, check=False).stdout
     assert "user.py" not in checked and "Found 1 error in 1 file" in checked, checked
-    for type_ in ("def (name_or_path: Any) -> gpusim.domain.camera.Camera", '"gpusim.frame.Frame"',
-                  'Iterator[gpusim.frame.Frame]"', 'list[gpusim.frame.Frame]"',
+    for type_ in ("def (name_or_path: Any) -> gpusim.domain.camera.Camera", '"gpusim.pipeline.frame.Frame"',
+                  'Iterator[gpusim.pipeline.frame.Frame]"', 'list[gpusim.pipeline.frame.Frame]"',
                   '"Camera" has no attribute "nothing"'):
         assert type_ in checked, (type_, checked)
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from gpusim.color.balance import ESTIMATES, estimate_white
+from gpusim.color.color import ColorTransform, TransformSet, transform_set
 from gpusim.data.curves import curve
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.processor.thumbnail import thumbnail
-from gpusim.planner.balance import ESTIMATES, estimate_white
-from gpusim.planner.color import ColorTransform, TransformSet, transform_set
 
 WHITE = np.array([0.7, 1.0, 0.4])
 ROUNDING = 1e-14  # means of some thousand numbers, in pairs: 12 roundings of 2^-53, and powers
@@ -81,7 +81,7 @@ def test_red_blue_knows_a_light_by_surfaces_it_was_not_trained_on(transforms):
     from gpusim.data.lights import illuminant
     from gpusim.data.reflectances import reflectances
     from gpusim.domain.spectrum import photons_from_energy
-    from gpusim.planner.weights import product_weights
+    from gpusim.optics.weights import product_weights
 
     surfaces, found = reflectances("macbeth"), {}
     curves, cut = curve("mt9v024"), curve("ir-cut-phone")

@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 import gpusim as gs
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.lens import open_lens, straight_tail, tail_of
-from gpusim.planner.border import at_samples, unseen
+from gpusim.optics.outside import at_samples, unseen
 
 SIDE, REACH, FARTHEST, Q = 64, 24, 224, 2.0
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
-from gpusim.data.cameras import camera_names, open_camera
 from gpusim.data.curves import CHANNELS, curve, curve_names
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
@@ -18,6 +17,7 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.tolerance import Tolerance
+from gpusim.io.camera.cameras import camera_names, open_camera
 
 ULPS = 1e-14  # some ten float64 operations, each rounding by at most 1.1e-16
 

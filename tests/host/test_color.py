@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gpusim.color.color import LIGHTS, METHODS, color_matrix, transform_set
 from gpusim.data.colorimetry import BRADFORD, cmf
 from gpusim.data.curves import curve
 from gpusim.data.lights import illuminant
@@ -11,8 +12,7 @@ from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
 from gpusim.kernels.processor.color import color
-from gpusim.planner.color import LIGHTS, METHODS, color_matrix, transform_set
-from gpusim.planner.weights import product_weights
+from gpusim.optics.weights import product_weights
 
 pytestmark = pytest.mark.filterwarnings("ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib")  # colour's chatter
 D65, A = (photons_from_energy(illuminant(name)) for name in ("D65", "A"))
@@ -329,7 +329,7 @@ def test_a_clear_channel_helps_color_without_its_noise(light, monkeypatch):
     np.testing.assert_allclose(four.matrix @ four.white, 1, atol=1e-13)  # white is met exactly: rounding of the sums
     same_exposure = noise_of_white(three).max() / np.sqrt(four.white[:3].max())
     assert noise_of_white(four).max() < 4 / 3 * same_exposure
-    monkeypatch.setattr("gpusim.planner.color.WHITE_ELECTRONS", 1e30)
+    monkeypatch.setattr("gpusim.color.color.WHITE_ELECTRONS", 1e30)
     assert noise_of_white(color_matrix(rgbw, light, reflectances("objects"))).max() > 2 * same_exposure
 
 

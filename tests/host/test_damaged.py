@@ -9,11 +9,11 @@ import pytest
 from refusals import refused
 
 import gpusim as gs
+from gpusim.apps.preview.controls import CONTROLS
+from gpusim.apps.preview.state import State
+from gpusim.apps.video.loops import Lags, Loops
+from gpusim.apps.video.manifest import Plans, kept
 from gpusim.domain.errors import BadData, BadFile, GpusimError
-from gpusim.preview.controls import CONTROLS
-from gpusim.preview.state import State
-from gpusim.video.loops import Lags, Loops
-from gpusim.video.manifest import Plans, kept
 
 SHEET = {"pixel_pitch": 3.45e-6, "quantum_efficiency": 0.6, "wavelength": 525.0, "gain": 0.4, "bits": 12,
          "saturation_capacity": 8000.0, "dark_noise": 5.0}
@@ -67,7 +67,7 @@ def test_manifests_with_other_things_for_plans(plans, tmp_path):
 def test_truncated_and_damaged_videos(tmp_path):
     """What is cut, or what a decoder finds damaged, is refused every time: 24 reads once hung in 10 of 12."""
     av = pytest.importorskip("av", reason="av is not installed")
-    from gpusim.video.film import Film
+    from gpusim.apps.video.video_frames import Film
 
     frames = np.random.default_rng(3).integers(0, 256, (9, 64, 96, 3), np.uint8)
     path = tmp_path / "a.mkv"

@@ -4,13 +4,13 @@
 import numpy as np
 import pytest
 
+from gpusim.color.encoding import decoding
 from gpusim.data.colorimetry import xyz
 from gpusim.data.displays import display_names, displayed, open_display
 from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
-from gpusim.planner.encoding import decoding
 
 CODES = np.arange(256) / 255
 
@@ -150,7 +150,7 @@ def test_pictures_say_what_display_they_are_for(tmp_path):
     from PIL import Image
 
     from gpusim.io.exr import write_rgb_exr
-    from gpusim.io.images import write_png
+    from gpusim.io.frame.images import write_png
 
     picture = np.full((4, 5, 3), 100, np.uint8)
     p3, gamma = open_display("display-p3"), Display("mine", curve=1.8)

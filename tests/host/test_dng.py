@@ -9,7 +9,7 @@ from exif import exiftool
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.raw_noise import RawNoise
-from gpusim.io.dng import write_dng
+from gpusim.io.frame.dng import write_dng
 
 RANDOM = np.random.default_rng(21)
 RAW = RANDOM.integers(0, 4096, (48, 50)).astype(np.uint16)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gpusim import cli
+from gpusim.cli import main as cli
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.kernels.stage import stage_names
 
@@ -42,7 +42,7 @@ def test_gallery_has_the_commands_that_made_it():
 
 
 def test_pictures_of_plots_have_their_commands_and_all_panels():
-    from gpusim.look import PANELS
+    from gpusim.cli.look import PANELS
 
     pictures, page = ((ROOT / "docs" / name).read_text() for name in ("pictures.py", "plots.md"))
     found = [command for command in commands(page) if " -o " in command]

@@ -8,12 +8,12 @@ from test_fusion import made_for
 
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.content import Basis, Cube, Materials
-from gpusim.hard.planner import library, response_of
-from gpusim.hard.scenes import CAMERA, WAVELENGTHS, natural
+from gpusim.judge.hard.planner import library, response_of
+from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, natural
 from gpusim.kernels.spectral.survey_ref import survey
-from gpusim.planner.drift import Watch, wrong_moments
-from gpusim.planner.fusion import Spectra, channel_operator, joint_operator, row_pairs
-from gpusim.planner.models.spectral import PRIOR
+from gpusim.optics.drift import Watch, wrong_moments
+from gpusim.optics.fusion import Spectra, channel_operator, joint_operator, row_pairs
+from gpusim.planner.knobs.spectral import PRIOR
 
 LIKELY = np.vstack([reflectances(name).at(WAVELENGTHS, outside=None) for name in PRIOR])
 BASIS = np.linalg.svd(LIKELY, full_matrices=False)[2]

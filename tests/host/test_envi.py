@@ -7,7 +7,7 @@ import pytest
 from refusals import refused, takes
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadFile, DoesNotFit, OutOfRange, UnknownName
 
 RANDOM = np.random.default_rng(11)
@@ -80,7 +80,7 @@ def test_spectral_pythons_library_is_a_scene_of_patches(tmp_path):
 def test_piece_by_piece(tmp_path, monkeypatch):
     """Files of more than a piece, rows that no piece divides."""
     cube = RANDOM.random((4, 37, 11)).astype(np.float32)
-    monkeypatch.setattr("gpusim.io.stacks.PIECE", 5 * 4 * 4 * 11)
+    monkeypatch.setattr("gpusim.io.scene.stacks.PIECE", 5 * 4 * 4 * 11)
     for interleave in INTERLEAVES:
         path = write(tmp_path / f"{interleave}.hdr", cube, interleave=interleave)
         np.testing.assert_array_equal(values(path), cube)
@@ -315,7 +315,7 @@ def test_options(tmp_path):
 def test_it_asks_for_memory_before_it_takes_it(tmp_path, monkeypatch):
     path, asked = write(tmp_path / "a.hdr", np.ones((4, 300, 400), np.float32), code=5), []
     with monkeypatch.context() as patched:
-        patched.setattr("gpusim.io.stacks.require_memory", lambda what, needed: asked.append(needed))
+        patched.setattr("gpusim.io.scene.stacks.require_memory", lambda what, needed: asked.append(needed))
         gs.open_scene(path)
         with takes(asked[0] + 2**20):  # 1 MiB: header, spectra, names
             gs.open_scene(path)

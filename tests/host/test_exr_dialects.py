@@ -12,7 +12,7 @@ from gpusim.data.srgb import SRGB_PRIMARIES
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
 from gpusim.io.exr import read_exr, write_spectral_exr
-from gpusim.io.scenes import open_scene
+from gpusim.io.scene.scenes import open_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib")  # colour's chatter
 RANDOM = np.random.default_rng(5)
@@ -114,7 +114,7 @@ def test_depth_refusals(tmp_path):
 
 
 def test_the_command_line_takes_depth_along_rays(tmp_path, capsys):
-    from gpusim.cli import main
+    from gpusim.cli.main import main
 
     path = tmp_path / "a.exr"
     write_channels(path, {key: plane(0.5, shape=(8, 8)) for key in "RGB"} | {"depth.T": plane(4, shape=(8, 8))})
@@ -171,8 +171,8 @@ def test_srgb_is_left_as_it_is(tmp_path):
 
 
 def test_colors_outside_srgb_keep_their_luminance_and_the_report_says_so(tmp_path):
-    from gpusim.data.cameras import open_camera
-    from gpusim.simulator import Simulator
+    from gpusim.io.camera.cameras import open_camera
+    from gpusim.pipeline.simulator import Simulator
 
     rgb = np.full((3, 8, 8), 0.5, np.float32)
     rgb[:, 0, 0] = 0, 1, 0  # green of BT.2020

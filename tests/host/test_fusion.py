@@ -10,10 +10,10 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.tolerance import Tolerance
-from gpusim.hard.planner import library, response_of
-from gpusim.hard.scenes import CAMERA, WAVELENGTHS, at_f_number, natural
-from gpusim.hard.truth import relative
-from gpusim.planner.fusion import Spectra, channel_operator, joint_operator
+from gpusim.judge.hard.planner import library, response_of
+from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, at_f_number, natural
+from gpusim.judge.hard.truth import relative
+from gpusim.optics.fusion import Spectra, channel_operator, joint_operator
 from gpusim.planner.plan import plan
 
 

@@ -18,11 +18,11 @@ from gpusim.domain.errors import BadData, BadFile, DoesNotFit, GpusimError, OutO
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.atomic import atomic_path
-from gpusim.io.dng import write_dng
 from gpusim.io.exr import read_exr, write_rgb_exr, write_spectral_exr
-from gpusim.io.images import write_png
-from gpusim.io.npz import write_npz
-from gpusim.io.scenes import mean_luminance, open_scene, picture
+from gpusim.io.frame.dng import write_dng
+from gpusim.io.frame.images import write_png
+from gpusim.io.scene.npz import write_npz
+from gpusim.io.scene.scenes import mean_luminance, open_scene, picture
 
 WAVES = np.array([400.0, 500.0, 650.0])
 RANDOM = np.random.default_rng(1)

@@ -14,7 +14,7 @@ from refusals import refused
 
 import gpusim as gs
 from gpusim.domain.errors import BadFile, OutOfRange
-from gpusim.io.mat import open_mat
+from gpusim.io.scene.mat import open_mat
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'gpusim[isetcam]'")
 from matlab import save73  # noqa: E402  it needs h5py

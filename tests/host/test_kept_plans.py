@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpusim.data.cameras import open_camera
 from gpusim.data.charts import chart
 from gpusim.domain.tolerance import Tolerance
+from gpusim.io.camera.cameras import open_camera
+from gpusim.pipeline.cache import Kept
 from gpusim.planner.plan import plan
-from gpusim.program.kept import Kept
 
 PHONE = open_camera("phone")
 

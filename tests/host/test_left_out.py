@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.domain.account import STATUS, UNKNOWN, Account, Bound, total, worst_state
 from gpusim.domain.errors import BadData, NotMet
 from gpusim.domain.tolerance import Tolerance

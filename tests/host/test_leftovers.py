@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from gpusim.apps.video.manifest import kept
 from gpusim.domain import leftovers
 from gpusim.domain.leftovers import remove_leftovers, temporary_name
 from gpusim.io.atomic import atomic_path, check_output
-from gpusim.io.readers import scene_files
-from gpusim.video.manifest import kept
+from gpusim.io.scene.readers import scene_files
 
 WRITER = """
 import sys

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.look import PANELS
+from gpusim.cli.main import main
 from gpusim.domain.errors import BadData
-from gpusim.look import PANELS
 
 pytest.importorskip("matplotlib", reason="plots are of matplotlib")
 

@@ -10,9 +10,9 @@ from cameras import PHONE
 from refusals import refused
 
 import gpusim as gs
-from gpusim.data.noise_profile import NoiseProfile
 from gpusim.domain.errors import BadFile, OutOfRange
-from gpusim.io.dng import write_dng
+from gpusim.io.camera.noise_profile import NoiseProfile
+from gpusim.io.frame.dng import write_dng
 
 # TIFF's types: code, bytes, struct's letter
 SHORT, LONG, DOUBLE, BYTE, RATIONAL = (3, 2, "H"), (4, 4, "I"), (12, 8, "d"), (1, 1, "B"), (5, 8, "II")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from refusals import archive, refused
 
-from gpusim.data.cameras import open_camera
-from gpusim.data.learned import read_table
-from gpusim.data.psf import read_psf
 from gpusim.domain.errors import BadData, BadFile, DeviceError, DoesNotFit, OutOfRange, UnknownName
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.camera.learned import read_table
+from gpusim.io.camera.psf import read_psf
 from gpusim.io.files import reading
-from gpusim.io.scenes import open_scene
+from gpusim.io.scene.scenes import open_scene
 
 # ---- what libraries raise
 

@@ -10,8 +10,8 @@ from PIL import Image, ImageCms
 import gpusim as gs
 from gpusim.domain.errors import BadData, BadFile
 from gpusim.io.exr import write_rgb_exr
-from gpusim.io.icc import icc_profile
-from gpusim.io.images import write_png, write_tiff
+from gpusim.io.frame.icc import icc_profile
+from gpusim.io.frame.images import write_png, write_tiff
 
 RANDOM = np.random.default_rng(31)
 CODES = RANDOM.integers(0, 65536, (13, 17, 3)).astype(np.uint16)

@@ -13,7 +13,7 @@ import gpusim as gs
 from gpusim.data.charts import colorchecker_patches
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, Missing, OutOfRange, UnknownName
-from gpusim.forecast import Forecast
+from gpusim.judge.plan_summary import Forecast
 from gpusim.measure import sfr
 from gpusim.measure.mosaic import colored
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gpusim.hard.maps import EXACT, FAST, MAPS, probabilities
+from gpusim.judge.hard.maps import EXACT, FAST, MAPS, probabilities
 from gpusim.kernels.common import exact64_ref, exact_ref
 from gpusim.kernels.common.philox_ref import chance_word, philox, seed_words
 from gpusim.kernels.common.poisson_ref import (

@@ -10,11 +10,11 @@ from cameras import PHONE
 import gpusim as gs
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.windows import Windows, _drawn
 from gpusim.planner import probes
 from gpusim.planner.facts import Facts, OnHost
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE, Probes
-from gpusim.planner.windows import Windows, _drawn
 
 WAVELENGTHS = np.linspace(400, 700, 31)
 RANDOM = np.random.default_rng(3)

@@ -6,13 +6,13 @@ from scipy.integrate import dblquad
 from scipy.optimize import brentq
 from scipy.special import j1
 
-from gpusim.data.cameras import open_camera
-from gpusim.data.psf import read_psf
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread, gaussian_kernel, pillbox_kernel
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.camera.psf import read_psf
 from gpusim.kernels.optics.airy_ref import otf as airy_otf
 from gpusim.optics.otf import hopkins, transfer
 from gpusim.optics.psf import psf_tables

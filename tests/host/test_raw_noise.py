@@ -8,12 +8,12 @@ import pytest
 
 from gpusim.backends import open_device
 from gpusim.captures.focus import _contrast
-from gpusim.data.cameras import open_camera
-from gpusim.developer import Developer
 from gpusim.domain.noise import Noise
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.io.camera.cameras import open_camera
 from gpusim.measure import merge_inputs
+from gpusim.pipeline.developer import Developer
 
 Z = 5.0  # standard deviations: one in 2e6 tests fails by chance
 BLACK = 256  # [DN]: no value drawn here reaches 0

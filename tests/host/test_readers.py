@@ -17,14 +17,14 @@ from picture_mutations import png_of
 from refusals import SMALL, WAVES, archive, refused, takes
 
 import gpusim as gs
-from gpusim.data.cameras import open_camera
-from gpusim.data.learned import read_table
-from gpusim.data.psf import read_psf
-from gpusim.data.zemax import read_zemax_psf
 from gpusim.domain import memory
 from gpusim.domain.errors import BadFile, DoesNotFit, UnknownName
+from gpusim.io.camera.cameras import open_camera
+from gpusim.io.camera.learned import read_table
+from gpusim.io.camera.psf import read_psf
+from gpusim.io.camera.zemax import read_zemax_psf
 from gpusim.io.exr import write_rgb_exr
-from gpusim.io.scenes import open_scene
+from gpusim.io.scene.scenes import open_scene
 
 # ---- every reader on damaged files
 
@@ -336,7 +336,7 @@ def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, reade
         asked.append(needed)
         memory.require_memory(what, needed)
 
-    for module in ("gpusim.io.archive", "gpusim.io.photo", "gpusim.io.files"):
+    for module in ("gpusim.io.archive", "gpusim.io.scene.photo", "gpusim.io.files"):
         monkeypatch.setattr(f"{module}.require_memory", spy)
     tracemalloc.start()
     try:

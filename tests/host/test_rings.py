@@ -8,11 +8,11 @@ import pytest
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.lens import open_lens
+from gpusim.optics.planned_tables import made_anew
 from gpusim.planner.facts import Facts
-from gpusim.planner.farfield import tails_of
+from gpusim.planner.knobs.farfield import tails_of
+from gpusim.planner.knobs.waves import waves
 from gpusim.planner.question import Question
-from gpusim.planner.tables import made_anew
-from gpusim.planner.waves import waves
 
 SIDE, SIZE, NEAREST = 32, 65, 12  # [sample]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.constants import c, h
 
-from gpusim.data.cameras import camera_names, open_camera
+from gpusim.color.speed import electrons_per_exposure, gain_for_speed, iso_speed
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import Spectrum
-from gpusim.planner.speed import electrons_per_exposure, gain_for_speed, iso_speed
+from gpusim.io.camera.cameras import camera_names, open_camera
 
 # Light between the nodes of its table, 5 nm apart, is linear in photons here and in energy there: the energy per photon
 # bends by (5 / 500)^2 / 8 = 1e-5 of itself, and steps of 0.01 nm add less than 1e-6.

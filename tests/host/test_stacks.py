@@ -8,10 +8,10 @@ import pytest
 from refusals import refused, takes
 
 import gpusim as gs
-from gpusim.cli import main
+from gpusim.cli.main import main
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
-from gpusim.io.readers import IN_FOLDERS, READERS
+from gpusim.io.scene.readers import IN_FOLDERS, READERS
 
 RANDOM = np.random.default_rng(12)
 WAVES = [400.0, 500.0, 570.0, 655.25]
@@ -106,7 +106,7 @@ def test_arrays_that_end_early_and_no_arrays(tmp_path):
 def test_it_takes_the_memory_that_it_asks_for(tmp_path, monkeypatch):
     asked = []
     stack(tmp_path / "a.npy", np.ones((300, 400, 4)))
-    monkeypatch.setattr("gpusim.io.stacks.require_memory", lambda what, needed: asked.append(needed))
+    monkeypatch.setattr("gpusim.io.scene.stacks.require_memory", lambda what, needed: asked.append(needed))
     gs.open_scene(tmp_path / "a.npy", wavelengths=WAVES)
     with takes(asked[0] + 2**20):  # 1 MiB: header, spectra, names
         gs.open_scene(tmp_path / "a.npy", wavelengths=WAVES)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from refusals import SMALL, refused, takes
 
+from gpusim.cli.options import _wavelengths
 from gpusim.domain.errors import BadFile, DoesNotFit, OutOfRange, UnknownName
-from gpusim.io.photo import read_samples
-from gpusim.io.scenes import open_scene
-from gpusim.options import _wavelengths
+from gpusim.io.scene.photo import read_samples
+from gpusim.io.scene.scenes import open_scene
 
 tifffile = pytest.importorskip("tifffile")
 RANDOM = np.random.default_rng(6)
@@ -127,7 +127,7 @@ def test_wavelengths_that_are_none(text):
 
 
 def test_the_command_line_takes_wavelengths(tmp_path, capsys):
-    from gpusim.cli import main
+    from gpusim.cli.main import main
 
     tifffile.imwrite(tmp_path / "a.tif", np.full((4, 8, 8), 0.5, np.float32), photometric="minisblack")
     asked = ["simulate", str(tmp_path / "a.tif"), "--camera", "mono", "--device", "numpy"]
@@ -254,7 +254,7 @@ def test_no_more_memory_is_taken_than_was_asked_for(tmp_path, monkeypatch, kind,
                      photometric="minisblack" if stack else "rgb", **options)
     waves = [400, 500, 600] if stack else None
     open_scene(path, wavelengths=waves)  # modules and tables of the program are loaded
-    monkeypatch.setattr("gpusim.io.tiff.require_memory", lambda what, needed: asked.append(needed))
+    monkeypatch.setattr("gpusim.io.scene.tiff.require_memory", lambda what, needed: asked.append(needed))
     tracemalloc.start()
     try:
         open_scene(path, wavelengths=waves)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from gpusim.data.zemax import read_zemax_psf
 from gpusim.domain.errors import BadFile
-from gpusim.io.scenes import open_scene
+from gpusim.io.camera.zemax import read_zemax_psf
+from gpusim.io.scene.scenes import open_scene
 
 LAST = 64  # [byte] of which a file is cut by every number
 

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.spectrum import Spectrum
-from gpusim.planner.weights import product_weights
+from gpusim.optics.weights import product_weights
 
 FINE = np.arange(400.0, 700.01, 0.05)
 

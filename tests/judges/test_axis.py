@@ -47,7 +47,7 @@ NARROWER = np.hypot(ROWS, COLS) / np.hypot(ROWS, COLS + MORE)  # corner over cor
 @pytest.mark.slow  # a minute each: pupils without symmetry, at many places
 @pytest.mark.parametrize("name", SEIDEL)
 def test_blur_follows_the_axis(name):
-    """Each of the two frames keeps the blur to 5e-4 of a natural picture (planner/models/field.py); this one, of
+    """Each of the two frames keeps the blur to 5e-4 of a natural picture (planner/knobs/field.py); this one, of
     random squares, has up to four times its contrast."""
     waves, power = SEIDEL[name]
     wavefront = gs.open_camera("phone").optics.wavefront

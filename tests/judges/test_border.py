@@ -17,8 +17,8 @@ from gpusim.domain.content import Cube
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
-from gpusim.planner.models import border as model
-from gpusim.truth import true_mean
+from gpusim.judge.truth import true_mean
+from gpusim.planner.knobs import border as model
 
 BANDS = np.array([500.0, 600.0])
 ROUNDING = 1e-6  # relative RMS below which float32 and the tables of highlights are as large as the border's error

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from gpusim.data.emva1288 import full_well, sensor_from_emva1288
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.spectrum import Spectrum
+from gpusim.io.camera.emva1288 import full_well, sensor_from_emva1288
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.noise import noise
 from gpusim.kernels.sensor.pattern import pattern

@@ -9,7 +9,7 @@ import gpusim as gs
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil
 from gpusim.kernels.optics.far import far
-from gpusim.planner.models import border as model
+from gpusim.planner.knobs import border as model
 
 MUST = 1e-5  # relative RMS of a frame whose border goes on to infinity
 BAND = 2.5  # times what is predicted that it may be
@@ -68,7 +68,7 @@ def test_points_of_light_are_seen_where_the_transform_repeats_them(monkeypatch, 
     error, predicted = relative(mean - own, own), plan.account.bounds["border"].rms
     print(f"q {q}, reach {reach}: {error:.1e}, predicted {predicted:.1e}")
     assert predicted / BAND < error < BAND * predicted
-    monkeypatch.setattr("gpusim.planner.farfield._image_error", lambda *_: 0.0)
+    monkeypatch.setattr("gpusim.planner.knobs.farfield._image_error", lambda *_: 0.0)
     _, without = seen(monkeypatch, scene, camera(q, None, "mono"), reach)
     assert without.account.bounds["border"].rms < error / 1.5
 
@@ -86,7 +86,7 @@ def test_devices_see_the_same_world(monkeypatch, device, border):
 
 def test_what_comes_from_infinity_counts(monkeypatch):
     """What no Gaussian of a few frames' width tells of a world that goes on as its edge."""
-    from gpusim.planner import farfield
+    from gpusim.planner.knobs import farfield
 
     scene, lens = scene_of(images("edge", (70, 91), np.random.default_rng(2)), "edge"), camera(1.1)
     mean, plan = seen(monkeypatch, scene, lens, 16)

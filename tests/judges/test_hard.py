@@ -6,8 +6,8 @@ import pytest
 from devices import KINDS
 
 from gpusim.backends import open_device
-from gpusim.cli import main
-from gpusim.hard import case, hard
+from gpusim.cli.main import main
+from gpusim.judge.hard import case, hard
 
 LONG = {1, 2, 3, 4, 8, 13, 18, 19, 24, 28, 29}  # take more than about 5 s
 NUMBERS = [pytest.param(number, marks=pytest.mark.slow) if number in LONG else number for number in range(1, 31)]
@@ -29,7 +29,7 @@ def test_there_are_thirty():
                                  lambda device: (2.0, 1.0, "too much")])
 def test_what_fails_is_a_line_and_a_status(run, monkeypatch, capsys, tmp_path):
     """A device that raises, a figure that is none, one beyond its limit: never a skip."""
-    monkeypatch.setattr("gpusim.hard.CASES", {27: case.Case(27, "made to fail", "nothing", run)})
+    monkeypatch.setattr("gpusim.judge.hard.CASES", {27: case.Case(27, "made to fail", "nothing", run)})
     assert main(["verify", "--hard", "--device", "numpy", "--json", str(tmp_path / "rows.json")]) == 1
     out = capsys.readouterr().out
     assert "FAIL numpy      27 made to fail" in out and "0 passed, 1 failed" in out

@@ -13,7 +13,7 @@ import gpusim as gs
 from gpusim.domain.distortion import ideal
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.kernels.optics.distort_ref import _lagrange
-from gpusim.planner.geometry import distortion_grid
+from gpusim.optics.geometry import distortion_grid
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV, the judge of these tests, is not installed: "
                                         "pip install opencv-python-headless")

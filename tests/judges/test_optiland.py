@@ -103,7 +103,7 @@ def test_coma_points_where_rays_go(triplet, traced, number):
     Both are equal by Ehrenfest's theorem but for the light beyond the square, which the diffraction puts out of it:
     half of the asymmetric light at the corner, whose rays reach 60 um of the square's 66.
     """
-    from gpusim.data.optiland import _chief, _field
+    from gpusim.io.camera.optiland import _chief, _field
 
     n = traced.values.shape[-1]
     steps = (np.arange(n) - (n - 1) / 2) * traced.spacing * 1e6

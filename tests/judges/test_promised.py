@@ -13,7 +13,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.view import View
-from gpusim.truth import true_mean
+from gpusim.judge.truth import true_mean
 
 
 def error_and_promise(simulator, scene, truth=None):

@@ -13,7 +13,7 @@ from gpusim.domain.pupil import Pupil
 from gpusim.kernels.optics.tiles import tiles
 from gpusim.optics.tiling import Tiling, tiling
 from gpusim.planner import plan as planner
-from gpusim.planner.models import border as model
+from gpusim.planner.knobs import border as model
 
 MUST, BAND = 5e-5, 2.5
 

@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve
 
 import gpusim as gs
 from gpusim.domain.pupil import Wavefront
-from gpusim.truth import seen
+from gpusim.judge.truth import seen
 
 sys.path.append(str(Path(__file__).parents[2] / "bench"))
 

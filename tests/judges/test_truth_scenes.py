@@ -19,8 +19,8 @@ from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
-from gpusim.hard.truth import airy
-from gpusim.truth import require_truth, true_mean
+from gpusim.judge.hard.truth import airy
+from gpusim.judge.truth import require_truth, true_mean
 
 BANDS = np.array([500.0, 550.0, 600.0])  # light is at the middle one alone
 PITCH = 1.4e-6

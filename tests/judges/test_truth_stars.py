@@ -19,7 +19,7 @@ from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum
-from gpusim.truth import true_mean
+from gpusim.judge.truth import true_mean
 
 BANDS = np.array([500.0, 550.0, 600.0])  # the star has the middle one alone
 PITCH, F_NUMBER, SIDE, STAR = 1.4e-6, 2.8, 25, 1e4
@@ -115,7 +115,7 @@ def grid_star(place):
 
 def traced():
     """As a lens design program's listing gives them: fields along y, put together by `traced.spread_of`."""
-    from gpusim.data.traced import Traced, spread_of
+    from gpusim.io.camera.traced import Traced, spread_of
 
     corner = 1e-3
     listing = [Traced(wavelength, gaussian_samples(s, s), 0.4 * PITCH, (30.0, 30.0), (0.0, height * corner), height)

@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 
 import gpusim as gs
-from gpusim.data.cameras import camera_names, camera_table
+from gpusim.apps.preview.controls import CONTROLS, LIGHTS
+from gpusim.apps.preview.overrides import Given, table_of
+from gpusim.apps.preview.producer import Picture
+from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData, GpusimError
-from gpusim.preview.controls import CONTROLS, LIGHTS
-from gpusim.preview.given import Given, table_of
-from gpusim.preview.producer import Picture
-from gpusim.preview.state import State
+from gpusim.io.camera.cameras import camera_names, camera_table
 
 pytest.importorskip("ipywidgets", reason="pip install gpusim[notebook]")
 pytest.importorskip("simplejpeg", reason="pip install gpusim[notebook]")
-from gpusim.preview.notebook import Preview
+from gpusim.apps.preview.notebook import Preview
 
 SCENE = gs.chart("colorchecker", size=(96, 64))
 EXPOSURE, F_NUMBER = "sensor.exposure_time_ms", "optics.f_number"
@@ -212,14 +212,14 @@ def test_what_is_missing_is_named(monkeypatch):
         gs.preview("flat", "phone")
 
 
-@pytest.mark.parametrize("imports", ["", "import gpusim.preview.session", "from gpusim.preview import state",
-                                     "gs.preview; import gpusim.preview.state", "import gpusim.cli",
+@pytest.mark.parametrize("imports", ["", "import gpusim.apps.preview.session", "from gpusim.apps.preview import state",
+                                     "gs.preview; import gpusim.apps.preview.state", "import gpusim.cli.main",
                                      "from gpusim import preview", "from gpusim import *"])
 def test_a_function_and_a_package_have_one_name(imports):
     code = (f"import gpusim as gs, sys; {imports}\ntry: gs.preview('moon', 'phone')\n"
             "except gs.GpusimError as error: print(error)\n"
-            "print(gs.preview is sys.modules['gpusim.preview'])\n"
-            "import gpusim.preview.session as session; print(gs.preview.session is session)")
+            "print(gs.preview is sys.modules['gpusim.apps.preview'])\n"
+            "import gpusim.apps.preview.session as session; print(gs.preview.session is session)")
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert said.stdout.splitlines()[0].startswith("unknown scene 'moon'"), said.stderr
     assert said.stdout.split()[-2:] == ["True", "True"]

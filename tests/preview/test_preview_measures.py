@@ -9,6 +9,12 @@ import pytest
 from scipy.special import erf
 
 import gpusim as gs
+from gpusim.apps.preview.crop import Crop, enlarged
+from gpusim.apps.preview.curves import histogram, response
+from gpusim.apps.preview.measures import SPAN, edge, error_map
+from gpusim.apps.preview.producer import Producer
+from gpusim.apps.preview.state import State
+from gpusim.apps.video.scenes import Moving, Still
 from gpusim.backends import open_device
 from gpusim.data.charts import colorchecker_patches
 from gpusim.domain.display import DISPLAYS
@@ -16,12 +22,6 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.motion import Motion
 from gpusim.measure.checker import Checker, checker_of
 from gpusim.measure.ideal import ideal
-from gpusim.preview.crop import Crop, enlarged
-from gpusim.preview.curves import histogram, response
-from gpusim.preview.measures import SPAN, edge, error_map
-from gpusim.preview.producer import Producer
-from gpusim.preview.state import State
-from gpusim.video.scenes import Moving, Still
 
 DISPLAY = DISPLAYS["srgb"]
 STATE = State("phone", {"sensor.exposure_time_ms": 20.0}, tolerance="exact", is_live=False)

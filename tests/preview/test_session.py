@@ -10,19 +10,19 @@ import pytest
 from PIL import Image
 
 import gpusim as gs
+from gpusim.apps.preview import session as module
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, VIEWS
+from gpusim.apps.preview.guard import Guard
+from gpusim.apps.preview.producer import Picture, Producer
+from gpusim.apps.preview.session import IN_FLIGHT, Session
+from gpusim.apps.preview.state import History, State
+from gpusim.apps.video.scenes import Still
 from gpusim.backends import open_device
-from gpusim.cli import main
-from gpusim.data.cameras import camera_of, camera_table, open_camera
+from gpusim.cli.main import main
+from gpusim.cli.preview import require_port
 from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadData, GpusimError
-from gpusim.preview import session as module
-from gpusim.preview.cli import require_port
-from gpusim.preview.controls import CONTROLS, GROUPS, LIGHTS, VIEWS
-from gpusim.preview.guard import Guard
-from gpusim.preview.producer import Picture, Producer
-from gpusim.preview.session import IN_FLIGHT, Session
-from gpusim.preview.state import History, State
-from gpusim.video.scenes import Still
+from gpusim.io.camera.cameras import camera_of, camera_table, open_camera
 
 simplejpeg = pytest.importorskip("simplejpeg", reason="pip install gpusim[preview]")
 SCENE = gs.chart("colorchecker", size=(48, 32))

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 from gpusim.kernels.optics.far import far
 from gpusim.optics.aliases import misses
 from gpusim.optics.ladder import energies, gaussians
-from gpusim.planner.border import Outside
-from gpusim.planner.farfield import FarField, spline_error
+from gpusim.optics.outside import Outside
+from gpusim.planner.knobs.farfield import FarField, spline_error
 
 SHAPE = 240, 200
 SIGMAS = gaussians(8, 400, 1.8)
@@ -93,7 +93,7 @@ def test_a_picture_errs_as_its_cosines_do(name, spacings):
 @pytest.mark.parametrize("name", PICTURES)
 def test_the_error_of_pictures_is_predicted(name, spacings, monkeypatch):
     """Within 2.5, the factor that the account promises; a ramp is taken for the wave of the largest error."""
-    monkeypatch.setattr("gpusim.planner.farfield.SPLINES", 0.0)
+    monkeypatch.setattr("gpusim.planner.knobs.farfield.SPLINES", 0.0)
     light = pictures()[name].astype(np.float32)
     level = float(np.sqrt(np.mean(np.square(light, dtype=float))))
     found = np.sqrt(np.mean(error_of(light, spacings) ** 2)) / level

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from devices import ALL, ALL_KINDS, DEVICES
 
+from gpusim.domain.binning import binned, shortest_period
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.bin import bin, binned_shape
-from gpusim.planner.binning import binned, shortest_period
 
 
 def mosaic(*rows):

@@ -5,10 +5,10 @@ import pytest
 from test_noise import sampler
 
 from gpusim.domain.errors import OutOfRange
-from gpusim.hard.acceptance import check
-from gpusim.hard.maps import probabilities
-from gpusim.hard.photons import IMPOSSIBLE, MEANS, f32, steps
-from gpusim.readout import checked_electrons
+from gpusim.judge.hard.acceptance import check
+from gpusim.judge.hard.maps import probabilities
+from gpusim.judge.hard.photons import IMPOSSIBLE, MEANS, f32, steps
+from gpusim.pipeline.readout import checked_electrons
 
 
 @pytest.mark.parametrize("photon", ["fast", "exact"])

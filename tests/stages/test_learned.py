@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from devices import ALL_KINDS
 
-from gpusim.data.learned import bayer_table, read_table, write_table
+from gpusim.apps.l3.fit import NormalEquations, flat_sums, shared, symmetries
+from gpusim.apps.l3.layout import layout
+from gpusim.apps.l3.photographs import blurred, decoded, encoded, equations, sampled, table
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.io.camera.learned import bayer_table, read_table, write_table
 from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.learned import X_TRANS, learned
 from gpusim.kernels.processor.learned_ref import classify, extended, grouped, positions
-from gpusim.l3.fit import NormalEquations, flat_sums, shared, symmetries
-from gpusim.l3.layout import layout
-from gpusim.l3.photographs import blurred, decoded, encoded, equations, sampled, table
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*scipy.ndimage.filters:DeprecationWarning")  # colour-demosaicing's
 BAYER = ("RG", "GB")

@@ -11,7 +11,7 @@ from gpusim.backends.select import open_device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.exposure import METHODS, AutoExposure, LightStatistics
 from gpusim.kernels.sensor.meter import MOST_CHUNKS, STRIP, meter
-from gpusim.program import metering
+from gpusim.pipeline import metering
 
 # Sums of at most 91 float32 terms, then compensated: 110 2^-24 = 6.6e-6 at worst; roundings differ in sign, so that of
 # light, of one sign, far less is left. The result is float32.

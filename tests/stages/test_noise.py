@@ -18,11 +18,11 @@ from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import Noise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.hard.acceptance import ALPHA, SIGMAS, check, p_values
-from gpusim.hard.photons import everything
+from gpusim.judge.hard.acceptance import ALPHA, SIGMAS, check, p_values
+from gpusim.judge.hard.photons import everything
 from gpusim.kernels.common.poisson_ref import EXACT_SEARCH_BELOW, SEARCH_BELOW
 from gpusim.kernels.sensor.noise import noise
-from gpusim.readout import Readout
+from gpusim.pipeline.readout import Readout
 
 f32 = np.float32
 # where each sampler goes from search to expansion, 0.1 to both sides

@@ -13,7 +13,7 @@ from scipy import stats
 
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.hard.acceptance import ALPHA, SIGMAS
+from gpusim.judge.hard.acceptance import ALPHA, SIGMAS
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.pattern import PLANES, pattern
 from gpusim.kernels.stage import stage_module

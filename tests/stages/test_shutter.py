@@ -6,7 +6,7 @@ from devices import ALL_KINDS
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.sensor.shutter import shutter, spans
-from gpusim.planner.shutter import shutter_weights
+from gpusim.optics.shutter import shutter_weights
 
 FLOAT32 = 2.0**-24  # half an ulp, relative
 

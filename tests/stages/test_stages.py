@@ -11,10 +11,10 @@ from devices import BROKEN, DEVICES
 
 from gpusim.backends.probe import best
 from gpusim.backends.select import open_device
+from gpusim.judge.verify import verify
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.stage import ROOT, public_function, stage_module, stage_names
-from gpusim.verify import verify
 
 QUICK = best()["name"]
 ON_DEVICES = [pytest.param(name, marks=pytest.mark.quick) if name == QUICK else name for name in DEVICES]

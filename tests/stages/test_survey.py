@@ -10,11 +10,11 @@ from test_fusion import made_for
 
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.hard.planner import response_of
-from gpusim.hard.scenes import natural
+from gpusim.judge.hard.planner import response_of
+from gpusim.judge.hard.scenes import natural
 from gpusim.kernels.spectral.survey import survey
-from gpusim.planner.drift import Watch
-from gpusim.planner.fusion import Spectra
+from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Spectra
 
 
 @pytest.fixture(scope="module")

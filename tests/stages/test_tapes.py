@@ -16,7 +16,7 @@ from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.sensor.collect import retime as collect_for
 from gpusim.kernels.sensor.noise import noise, redraw
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.program.kept import Kept
+from gpusim.pipeline.cache import Kept
 
 RANDOM = np.random.default_rng(3)
 BAYER = np.array([[0, 1], [1, 2]], np.int32)

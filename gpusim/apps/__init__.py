@@ -1,0 +1,1 @@
+"""Programs built on the pipeline: video, data sets, preview, filters, tensors."""

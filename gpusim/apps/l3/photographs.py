@@ -1,0 +1,122 @@
+"""Filters for Bayer mosaics, trained on photographs: encoded pictures as they are, linear light with noise.
+
+At noise level 0 a frame is the photograph's own numbers (8 bits, sRGB) seen through the mosaic, and blurred copies of
+it; at the others it is its linear light, counted in electrons with shot and read noise, on variance-stabilised codes.
+Both are nearly the same code, so that filters may be interpolated between all levels. Filters keep flat fields exactly,
+red and blue play the same part, and mirror images count as further photographs.
+"""
+
+import datetime
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gpusim import __version__
+from gpusim.apps.l3.fit import NormalEquations
+from gpusim.apps.l3.layout import layout
+from gpusim.domain.errors import BadFile
+from gpusim.domain.learned import Code, FilterTable
+from gpusim.io.camera.learned import write_table
+from gpusim.io.scene.photo import read_samples
+
+MOSAIC = ("RG", "GB")
+SIGMAS = (0.0, 0.004, 0.009, 0.018, 0.035, 0.07, 0.14)  # of the code, relative to white: 15,600 to 12 electrons
+READ = 2.0  # [e-]
+BLURS = (0.0, 0.5, 0.8, 1.2, 2.0)  # standard deviations [pixel]
+NOISY_BLURS = (0.0, 0.8, 2.0)
+BLURRED = 0.25  # what a blurred frame counts, against 1 of a sharp one
+BORDER = 4  # pixels that do not count, next to mirrored ones
+
+
+def equations(photographs, seed: int = 1, blurs=BLURS) -> NormalEquations:
+    """The normal equations of photographs, an iterable of (rows, cols, 3) numbers 0 .. 255 in sRGB.
+
+    seed: of the noise. blurs: standard deviations of the copies, 0 for the photograph itself [pixel].
+    """
+    found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
+    random = np.random.default_rng(seed)
+    for picture in photographs:
+        light = decoded(np.moveaxis(np.asarray(picture, float), 2, 0) / 255)
+        for blur in blurs:
+            for number, sigma in enumerate(SIGMAS):
+                soft = blurred(light, blur)
+                if sigma == 0:
+                    code, wanted = Code("linear", 0.0, 1 / 255), encoded(soft)
+                    raw = sampled(255 * wanted)
+                elif blur in NOISY_BLURS:
+                    code, wanted = counted(sigma), soft
+                    raw = random.poisson(sampled(wanted) / code.scale) + random.normal(0, READ, wanted.shape[1:])
+                else:
+                    continue
+                found.add(raw, wanted, code, number, border=BORDER, weight=BLURRED if blur else 1.0)
+    return found
+
+
+def train(folders, path):
+    """Write the table trained on all .png photographs of some folders; half of each folder's come with seed 1, 2."""
+    pictures = [sorted(Path(folder).glob("[!.]*.png")) for folder in folders]
+    found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
+    for half in (0, 1):
+        some = (_rgb(file) for files in pictures for file in files[half::2])
+        found.merge(equations(some, seed=1 + half))
+    write_table(path, table(found, provenance([file.stem for files in pictures for file in files])))
+
+
+def _rgb(file):
+    """Three channels of a photograph, 0 .. 255."""
+    samples = read_samples(file)
+    if samples.shape[-1] != 3 or samples.dtype != np.uint8:
+        raise BadFile(file, f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB")
+    return samples
+
+
+def provenance(names) -> str:
+    """What a table of these photographs is made from, as JSON."""
+    return json.dumps({
+        "program": f"gpusim {__version__}, gpusim.apps.l3.photographs", "date": f"{datetime.date.today()}",
+        "photographs": list(names), "seeds": [1, 2], "noise of code / white": SIGMAS, "read noise [e-]": READ,
+        "blur [pixel]": BLURS, "blur with noise [pixel]": NOISY_BLURS, "weight of blurred frames": BLURRED,
+        "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)"})
+
+
+def table(found: NormalEquations, text: str) -> FilterTable:
+    """Solve for filters that keep flat fields."""
+    return found.solve(preserve=True, exchanges=(("R", "B"),), provenance=text)
+
+
+def counted(sigma):
+    """The code of electrons, as many at white as make the noise `sigma` of it."""
+    offset = Code("root", 0.0, 1.0, (1.0, READ)).offset
+    white = (0.5 / sigma + np.sqrt(offset)) ** 2 - offset
+    return Code("root", 0.0, 1 / white, (1.0, READ))
+
+
+def sampled(planes):
+    """Planes (3, rows, cols) seen through the mosaic, (rows, cols)."""
+    raw = planes[1].copy()
+    raw[::2, ::2], raw[1::2, 1::2] = planes[0, ::2, ::2], planes[2, 1::2, 1::2]
+    return raw
+
+
+def decoded(code):
+    """Linear light of sRGB (IEC 61966-2-1), both 0 .. 1."""
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
+def encoded(light):
+    """Encode linear light as sRGB, both 0 .. 1."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+
+
+def blurred(planes, sigma):
+    """Planes convolved with a Gaussian, mirrored at the borders."""
+    if sigma == 0:
+        return planes
+    reach = int(np.ceil(4 * sigma))
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    for axis in (1, 2):
+        pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(planes, pad, mode="reflect"), len(taps), axis)
+        planes = windows @ (taps / taps.sum())
+    return planes

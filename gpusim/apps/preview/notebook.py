@@ -1,0 +1,284 @@
+"""The preview in Jupyter: the page's controls and its picture, as a widget."""
+
+import asyncio
+import atexit
+import time
+from dataclasses import replace
+from functools import cache, partial
+from html import escape
+from math import isfinite, log10
+from os import PathLike
+from threading import Thread
+
+import ipywidgets
+from ipywidgets import HTML, Accordion, BoundedIntText, Button, Checkbox, Dropdown, HBox, Label, Layout, VBox
+
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
+from gpusim.apps.preview.curves import histogram
+from gpusim.apps.preview.labels import of_exposure, of_plan
+from gpusim.apps.preview.overrides import Given, table_of
+from gpusim.apps.preview.producer import Producer
+from gpusim.apps.preview.session import DEVICE, HEAD, JPEG, PNG, Session
+from gpusim.apps.preview.state import History, State
+from gpusim.apps.video.scenes import Still
+from gpusim.backends import open_device
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import UnknownName
+from gpusim.domain.scene import checked_scene
+from gpusim.io.camera.cameras import camera_table
+from gpusim.io.scene.scenes import open_scene
+from gpusim.pipeline.frame import Frame
+
+COUNTED_EACH = 0.5  # [s] between histograms, while a slider is moved
+LUMINANCE = Control("scene", "luminance", "white", 0.1, 1e5, "cd/m2", is_log=True)
+
+
+def opened(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
+    """What `gs.preview` gives."""
+    tolerance = "exact" if tolerance is None else str(tolerance)
+    if tolerance not in TOLERANCES:
+        raise UnknownName("tolerance of a preview", tolerance, TOLERANCES)
+    scene = checked_scene(open_scene(scene) if isinstance(scene, str | PathLike) else scene)
+    state: State
+    if isinstance(camera, Camera):
+        state, table = Given(camera.name, tolerance=tolerance, is_live=False, given=camera), table_of(camera)
+    else:
+        state = State(str(camera), tolerance=tolerance, is_live=False)
+        table = camera_table(state.camera)[1]
+        state.built()  # what is wrong is said here
+    device = open_device(device) if isinstance(device, str) else device
+    return Preview(Producer(Still(scene, 1), device), state, table)
+
+
+class Preview(HBox):
+    """A picture, and the controls that change it.
+
+    controls: name -> field, of all of `CONTROLS` and of "view", "tolerance", "light", "luminance", "seed" and "frame":
+    a Number, or a widget with a `value`. image: an ipywidgets.Image; a JPEG while a control is moved, then a PNG.
+    `close` ends it.
+    """
+
+    def __init__(self, producer: Producer, state: State, table: dict):
+        self.controls: dict = {}
+        self.image = ipywidgets.Image(layout=Layout(width="100%", object_fit="contain"))
+        self._producer, self._table, self._history = producer, table, History(state)
+        self._setting = False  # while the controls follow the settings, and not they them
+        self._asked, self._answered = 0, -1  # versions of the settings
+        self._counted = 0.0  # when the last histogram was made
+        self._error, self._known = HTML(), HTML("the first picture is being made")
+        self._histogram = HTML(layout=Layout(max_width="640px"))
+        super().__init__([self._left(), self._right()], layout=Layout(flex_flow="row wrap"))
+        self._follow()
+        self._session = _Session(producer, state, self._show)
+        self._serving = asyncio.run_coroutine_threadsafe(self._session.run(), _loop())
+
+    @property
+    def state(self) -> State:
+        """The present settings."""
+        return self._history.state
+
+    @property
+    def camera(self) -> Camera:
+        """The camera with these settings. Raises GpusimError where it cannot be."""
+        return self.state.built()
+
+    def frame(self) -> Frame:
+        """The frame that a Simulator of `camera` makes, with this seed and number. Raises GpusimError."""
+        return DEVICE.submit(self._producer.frame, self.state, self.state.frame).result()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether what is shown, or said, is of the present settings, and final."""
+        return self._answered == self._asked
+
+    def close(self):
+        """Make no more pictures."""
+        self._serving.cancel()
+        super().close()
+
+    # its parts
+
+    def _left(self):
+        view = self.controls["view"] = ipywidgets.ToggleButtons(options=VIEWS, style={"button_width": "auto"})
+        view.observe(lambda change: self._turn("view", change.new), "value")
+        steps = []
+        for name, step in (("undo", self._history.undo), ("redo", self._history.redo)):
+            steps.append(Button(icon=name, tooltip=name, layout=Layout(width="3em")))
+            steps[-1].on_click(partial(self._step, step))
+        self._undo, self._redo = steps
+        return VBox([self.image, HBox([view, *steps]), self._error, self._known, self._histogram],
+                    layout=Layout(flex="1 1 480px"))
+
+    def _right(self):
+        groups = [VBox([self._made(control) for control in controls]) for controls in GROUPS.values()]
+        light = self._choice("light", "light", (OWN, *LIGHTS))
+        luminance = self.controls["luminance"] = Number(LUMINANCE, True, partial(self._turn, "luminance"))
+        accordion = Accordion([*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0)
+        numbers = [self._whole("seed", "noise seed"), self._whole("frame", "noise frame")]
+        return VBox([self._choice("tolerance", "tolerance", TOLERANCES), *numbers, accordion],
+                    layout=Layout(flex="0 1 420px"))
+
+    def _made(self, control):
+        if control.choices:
+            return self._choice(control.name, control.label, control.choices)
+        number = Number(control, control.off is not None, partial(self._turn, control.name))
+        self.controls[control.name] = number
+        return number
+
+    def _choice(self, name, label, choices):
+        return self._field(name, Dropdown(options=choices, description=label, style={"description_width": "9em"}))
+
+    def _whole(self, name, label):
+        return self._field(name, BoundedIntText(max=2**32 - 1, description=label, style={"description_width": "9em"}))
+
+    def _field(self, name, field):
+        self.controls[name] = field
+        field.observe(lambda change: self._turn(name, change.new), "value")
+        return field
+
+    # what a control does
+
+    def _turn(self, name, value, is_slid=False):
+        if self._setting:
+            return
+        if name == "light" and value == OWN:
+            value = None
+        changes = {"changes": {**self.state.changes, name: value}} if name in CONTROLS else {name: value}
+        self._history.set(replace(self.state, **changes), name if is_slid else "")
+        self._go()
+
+    def _step(self, step, _):
+        if step():
+            self._go()
+
+    def _go(self):
+        self._asked += 1
+        _loop().call_soon_threadsafe(self._session.set, self.state)
+        self._follow()
+
+    def _follow(self):
+        """Put the settings into the controls."""
+        state = self.state
+        self._setting = True
+        try:
+            for name, field in self.controls.items():
+                value = state.value(CONTROLS[name], self._table) if name in CONTROLS else getattr(state, name)
+                if isinstance(field, Number):
+                    field.show(value)
+                    continue
+                value = OWN if name == "light" and value is None else value
+                if isinstance(field, Dropdown) and value not in field.options:  # one that the page does not offer
+                    field.options = (*field.options, value)
+                field.value = value
+        finally:
+            self._setting = False
+
+    # what is shown, in the thread of the session
+
+    async def _show(self, version, kind, data):
+        """Show an answer to a version of the settings: a picture's bytes, or why there is none."""
+        session = self._session
+        self._error.value = f'<span style="color:#d33">{escape(session.error)}</span>' if session.error else ""
+        if data:
+            with self.image.hold_sync():
+                self.image.format, self.image.value = "png" if kind == PNG else "jpeg", data[HEAD.size :]
+            shown = session.shown
+            lines = [f"frame {shown.number}  made in {shown.ms:.0f} ms", of_exposure(shown.facts),
+                     of_plan(shown.facts)]
+            self._known.value = f'<pre style="white-space:pre-wrap;line-height:1.4">{escape(chr(10).join(lines))}</pre>'
+            if kind == PNG or time.monotonic() - self._counted > COUNTED_EACH:
+                await self._count()
+        if kind == PNG or not data:
+            self._answered = version
+
+    async def _count(self):
+        try:
+            found = await self._session.computed(self._producer.statistics, self._session.state,
+                                                 self._session.shown.number)
+        except Exception:
+            return  # the next picture says it, also of a device that fails
+        self._histogram.value = histogram(found)
+        self._counted = time.monotonic()
+
+
+class Number(HBox):
+    """A slider and a field for a number beside it, which takes also those beyond the slider's ends.
+
+    is_switched: whether a switch sets the control to its `off`. turned: called with a new value, and whether the slider
+    was moved. slider, number: the widgets; switch: or None.
+    """
+
+    def __init__(self, control: Control, is_switched: bool, turned):
+        self._control, ends = control, (control.low, control.high)
+        low, high = map(log10, ends) if control.is_log else ends
+        kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
+        middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2  # until there is a value
+        self.slider = kind(middle, min=low, max=high, step=(high - low) / PLACES, readout=False,
+                           layout=Layout(flex="1 1 6em", min_width="6em"))
+        self.number = ipywidgets.FloatText(middle, layout=Layout(width="6.5em"))
+        self.switch = Checkbox(indent=False, layout=Layout(width="1.5em")) if is_switched else None
+        unit = f" [{control.unit}]" if control.unit else ""
+        self.slider.observe(lambda change: turned(float(f"{change.new:.4g}"), True), "value")
+        self.number.observe(lambda change: turned(change.new) if isfinite(change.new) else None, "value")
+        if self.switch:
+            self.switch.observe(lambda change: turned(self.number.value if change.new else control.off), "value")
+        super().__init__([*([self.switch] if self.switch else []),
+                          Label(control.label + unit, layout=Layout(width="10.5em")), self.slider, self.number])
+
+    def show(self, value):
+        """Put a value into it; one that is no number, or off, has it greyed out."""
+        control = self._control
+        there = isinstance(value, int | float) and value != control.off
+        if there:
+            # not the slider that is moved: what is sent to it would come after it has been moved further
+            if f"{value:.4g}" != f"{self.slider.value:.4g}":
+                self.slider.value = min(max(value, control.low), control.high)
+            self.number.value = value
+        self.slider.disabled = self.number.disabled = not there
+        if self.switch:
+            self.switch.value = there
+
+
+class _Session(Session):
+    """A session that shows what it has made. show: coroutine of version, kind and bytes, or None where `error` is."""
+
+    def __init__(self, producer, state, show):
+        super().__init__(producer, state)
+        self._show = show
+
+    async def run(self):
+        """Make pictures as they are wanted."""
+        painted: asyncio.Queue = asyncio.Queue()
+
+        async def send(_):
+            painted.put_nowait(None)  # a notebook does not say when it has painted
+
+        await self.serve(send, painted.get)
+
+    async def _made(self, version, settles):
+        data = await super()._made(version, settles)
+        await self._show(version, PNG if settles else JPEG, data)
+        return data
+
+
+@cache
+def _loop():
+    """That of the sessions of all widgets: a kernel's own stands still while a cell runs."""
+    loop = asyncio.new_event_loop()
+
+    def run():
+        asyncio.set_event_loop(loop)
+        loop.run_forever()
+        tasks = asyncio.all_tasks(loop)
+        for task in tasks:
+            task.cancel()
+        loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+
+    def end():
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+
+    thread = Thread(target=run, name="gpusim-notebook", daemon=True)
+    thread.start()
+    atexit.register(end)
+    return loop

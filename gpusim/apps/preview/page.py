@@ -1,0 +1,540 @@
+"""The preview's page: controls, the picture, and what is known of it."""
+
+import secrets
+import tempfile
+import time
+from dataclasses import replace
+from functools import partial
+from math import isfinite, log
+from pathlib import Path
+from typing import Any
+
+from nicegui import app, run, ui
+
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, OWN, PLACES, TOLERANCES, VIEWS, Control
+from gpusim.apps.preview.crop import enlarged
+from gpusim.apps.preview.curves import histogram, response
+from gpusim.apps.preview.labels import of_exposure, of_plan
+from gpusim.apps.preview.measures import SPAN
+from gpusim.apps.preview.session import Session
+from gpusim.apps.preview.state import State
+from gpusim.domain.errors import GpusimError
+from gpusim.io.camera.cameras import camera_names, camera_table
+
+LEFT = 600.0  # [s] that a session without a page is kept
+MOST_SESSIONS = 16  # each holds its scene on the device
+PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
+OPEN = ("Exposure", "Lens")  # groups, at first
+QUIET = "text-sm text-neutral-300 font-mono"
+FORMATS = (".png", ".dng", ".exr", ".npz")
+# A control that glides to its new place has the page laid out and painted at every refresh of the screen
+STYLE = """
+.q-slider *, .q-field, .q-field *, .q-checkbox *, .q-focus-helper {
+    transition: none !important; animation: none !important;
+}
+"""
+
+
+def mark(name: str) -> str:
+    """Properties of an element by which tests find it."""
+    return f'data-mark="{name}"'
+
+
+class Picture(ui.element, component="picture.js"):  # type: ignore[call-arg]  # where there is no NiceGUI
+    """The canvas. url: of its websocket. width, height: of the frames [pixel]."""
+
+    def __init__(self, url: str, width: int, height: int):
+        super().__init__()
+        self._props.update(url=url, width=width, height=height)
+
+
+class Sessions:
+    """Those of all clients by their tokens; what nobody has used for long goes. made: a Producer. first: State."""
+
+    def __init__(self, made, first: State):
+        self._made, self._first = made, first
+        self._known: dict[str, Session] = {}
+
+    def of(self, token: str, link: str = "") -> tuple[str, Session]:
+        """A client's, by its token, or a new one, with the settings of a link. Raises BadData."""
+        now = time.monotonic()
+        for name, session in list(self._known.items()):
+            if now - session.used > LEFT:
+                del self._known[name]
+        if token in self._known:
+            self._known[token].used = now
+            return token, self._known[token]
+        while len(self._known) >= MOST_SESSIONS:
+            del self._known[min(self._known, key=lambda name: self._known[name].used)]
+        state = State.of_link(link, self._first.camera) if link else self._first
+        token = secrets.token_urlsafe(16)
+        self._known[token] = Session(self._made(), state)
+        return token, self._known[token]
+
+    def known(self, token: str) -> Session | None:
+        """A client's, or None."""
+        return self._known.get(token)
+
+
+class Page:
+    """One client's page. title: of the scene; shape: rows and columns of its frames."""
+
+    def __init__(self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str):
+        self.session, self._token, self._title, self._shape, self._scene = session, token, title, shape, scene
+        self._fields: dict[str, Any] = {}
+        self._setting = False  # while the page follows the settings, and not they it
+        self._at: tuple[int, int] | None = None
+        self._is_step = False  # whether the next change is one, whatever was before
+        self._turned = ""  # the control that was moved last
+        self._refused = ""  # one beside which a reason stands
+        self._table: dict = {}
+        self._width = shape[1]  # of the picture on the screen [pixel]
+        self._held: tuple | None = None  # where the button went down: row and column of the canvas, and the crop then
+        self._edge: tuple[slice, slice] | None = None  # the part of the picture whose edge is measured
+
+    def build(self):
+        """Make the page's elements."""
+        ui.page_title(f"gpusim: {self._title}")
+        ui.dark_mode(True)
+        ui.add_css(STYLE)
+        ui.query("body").classes("bg-neutral-900")
+        with ui.row(wrap=True).classes("w-full items-start gap-4 p-2"):
+            with ui.column().classes("grow basis-[640px] min-w-[280px] gap-2"):
+                self._build_known()
+                self._build_picture()
+                self._build_measures()
+            with ui.column().classes("w-full max-w-[420px] gap-1"):
+                self._build_top()
+                for name, controls in GROUPS.items():
+                    with ui.expansion(name, value=name in OPEN).classes("w-full").props(mark(f"group {name}")):
+                        for control in controls:
+                            self._build_control(control)
+                self._build_scene()
+        ui.keyboard(on_key=self._on_key)
+        ui.timer(0.25, self._refresh)
+        ui.timer(0.5, self._statistics)
+        self._follow()
+
+    def _build_picture(self):
+        rows, cols = self._shape
+        with ui.element("div").classes("relative w-full"):
+            self._fields["picture"] = Picture(f"/picture/{self._token}", cols, rows).on("size", self._on_size)
+            with ui.element("div").classes("absolute inset-0"):  # of its own: the image is placed relative to itself
+                self._fields["overlay"] = ui.interactive_image(
+                    size=(cols, rows), events=["mousedown", "mousemove", "mouseup"], on_mouse=self._on_mouse).on(
+                    "wheel.prevent", lambda event: self._zoom(1 if event.args["deltaY"] < 0 else -1), ["deltaY"],
+                    throttle=0.1).props(mark("overlay"))
+        with ui.row().classes("w-full items-center gap-2"):
+            self._fields["view"] = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value)).props(
+                "dense no-caps").props(mark("view"))
+            self._fields["live"] = ui.switch("play" if self._is_moving else "live noise", on_change=lambda event: (
+                self._live(event.value))).props(mark("live"))
+            self._button("undo", "undo (Ctrl+Z)", self._undo)
+            self._button("redo", "redo (Ctrl+Y)", self._redo)
+            self._button("zoom_out", "smaller (-)", lambda: self._zoom(-1))
+            self._button("zoom_in", "larger, without loss (+); drag to move", lambda: self._zoom(1))
+            self._fields["measure"] = ui.switch("edge").props(mark("measure")).tooltip(
+                "drag over a slanted edge: its frequency response (ISO 12233)")
+            ui.button("error map", on_click=self._error_map).props("flat dense no-caps").props(mark("error map"))
+        with ui.row().classes("w-full items-center gap-2"):
+            if self._is_moving:
+                self._button("skip_previous", "frame before (,)", lambda: self._step(-1))
+                self._button("skip_next", "next frame (.)", lambda: self._step(1))
+                self._fields["frame"] = ui.slider(min=0, max=self.session.producer.frames - 1, on_change=lambda event: (
+                    self._scrub(event.value))).classes("grow max-w-[300px]").props('aria-label="frame"').props(
+                    mark("frame"))
+            ui.button("set B", on_click=self._set_other).props("flat dense no-caps").props(mark("set B")).tooltip(
+                "keep this camera as B, and compare others with it")
+            self._fields["swap"] = ui.button("swap A and B", on_click=self._swap).props("flat dense no-caps").props(
+                mark("swap"))
+            self._fields["drop"] = ui.button("no B", on_click=lambda: self._set(against=None)).props(
+                "flat dense no-caps").props(mark("no B"))
+            self._fields["split"] = ui.slider(min=0, max=PLACES, on_change=lambda event: self._set(
+                "split", split=event.value / PLACES)).classes("w-40").props('aria-label="A | B"').props(mark("split"))
+
+    def _button(self, icon, words, does):
+        ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"').tooltip(words).props(mark(icon))
+
+    @property
+    def _is_moving(self):
+        return self.session.producer.period > 0
+
+    def _build_known(self):
+        for name, classes in (("error", "text-red-400"), ("busy", "text-amber-400"), ("known", QUIET),
+                              ("left out", "text-xs text-neutral-400")):
+            self._fields[name] = ui.label().classes(f"{classes} whitespace-pre-wrap").props(mark(name))
+
+    def _build_measures(self):
+        for name in ("pixel", "histogram", "difference", "edge", "response"):
+            if name in ("histogram", "response"):
+                self._fields[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
+            else:
+                self._fields[name] = ui.label().classes(QUIET).props(mark(name))
+
+    def _build_top(self):
+        with ui.row().classes("w-full items-center gap-2"):
+            names = camera_names()
+            own = self.session.state.camera
+            self._fields["camera"] = ui.select([*names, *([] if own in names else [own])], label="camera", on_change=(
+                lambda event: self._camera(event.value))).classes("grow").props(mark("camera"))
+            self._fields["tolerance"] = ui.select(list(TOLERANCES), label="tolerance", on_change=lambda event: (
+                self._set(tolerance=event.value))).classes("grow").props(mark("tolerance"))
+            with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
+                ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
+                for suffix in FORMATS:
+                    ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix)).props(mark(f"save {suffix}"))
+                ui.menu_item("link and command line", self._show_link).props(mark("show link"))
+
+    def _build_scene(self):
+        with ui.expansion("Light").classes("w-full").props(mark("group Light")):
+            self._fields["light"] = ui.select([OWN, *LIGHTS], label="light", on_change=lambda event: self._set(
+                light=None if event.value == OWN else event.value)).classes("w-full").props(mark("light"))
+            self._slider("luminance", "white", "cd/m2", 0.1, 1e5, True, lambda value: self._set("luminance",
+                                                                                                luminance=value))
+
+    def _build_control(self, control: Control):
+        name = control.name
+        if control.choices:
+            self._fields[name] = ui.select(list(control.choices), label=control.label, on_change=lambda event: (
+                self._turn(control, event.value))).classes("w-full").props(mark(name))
+            return
+        self._slider(name, control.label, control.unit, control.low, control.high, control.is_log,
+                     lambda value: self._turn(control, value), control)
+
+    def _slider(self, name, label, unit, low, high, is_log, turned, control=None):
+        def to_place(value):
+            value = min(max(value, low), high)
+            return round(PLACES * (log(value / low) / log(high / low) if is_log else (value - low) / (high - low)))
+
+        def to_value(place):
+            part = place / PLACES
+            return float(f"{low * (high / low) ** part if is_log else low + (high - low) * part:.4g}")
+
+        with ui.row(wrap=False).classes("w-full items-center gap-2 -my-1"):
+            is_on = None
+            if control is not None and control.off is not None:
+                is_on = ui.checkbox(on_change=lambda event: self._switch(control, event.value, to_value(slider.value))
+                                    ).props("dense").props(mark(f"{name} on"))
+            ui.label(label).classes("w-24 text-sm shrink-0")
+            slider = ui.slider(min=0, max=PLACES, on_change=lambda event: self._slid(turned, to_value(event.value))
+                               ).classes("grow").props(f'aria-label="{label}"').props(mark(name))
+            number = ui.number(suffix=unit or None).props("dense borderless").classes("w-28 shrink-0").props(
+                mark(f"{name} number")).on("change", lambda: self._typed(turned, number.value))
+        self._fields[name] = (slider, number, is_on, to_place, control)
+
+    # what a control does
+
+    def _slid(self, turned, value):
+        if not self._setting:
+            turned(value)
+
+    def _typed(self, turned, value):
+        """A number was entered: a step of its own, also beside those of the slider."""
+        self._is_step = True
+        if value is not None and isfinite(value):
+            turned(float(value))
+        else:
+            self._follow()
+
+    def _switch(self, control, is_on, value):
+        if not self._setting:
+            self._turn(control, value if is_on else control.off)
+
+    def _turn(self, control, value):
+        self._set(control.name, changes={**self.session.state.changes, control.name: value})
+
+    def _set(self, by="", **changes):
+        if self._setting:
+            return
+        if by in self._fields:
+            self._turned = by
+        self.session.set(replace(self.session.state, **changes), "" if self._is_step else by)
+        self._is_step = False
+        self._follow(by)
+
+    def _camera(self, name):
+        self._set(camera=name, changes={})
+
+    def _live(self, is_live):
+        self._set(is_live=is_live, frame=self.session.number)
+
+    def _step(self, step):
+        self._set(is_live=False, frame=(self.session.number + step) % self.session.producer.frames)
+
+    def _scrub(self, number):
+        if number is not None and number != self.session.number:
+            self._set("frame", is_live=False, frame=int(number))
+
+    def _set_other(self):
+        state = self.session.state
+        self._set(against={"camera": state.camera, "changes": state.changes})
+
+    def _swap(self):
+        state = self.session.state
+        if state.against:
+            self._set(**state.against, against={"camera": state.camera, "changes": state.changes})
+
+    def _undo(self):
+        if self.session.history.undo():
+            self.session.touch()
+            self._follow()
+
+    def _redo(self):
+        if self.session.history.redo():
+            self.session.touch()
+            self._follow()
+
+    def _on_key(self, event):
+        if not event.action.keydown or (event.action.repeat and event.key == " "):
+            return
+        if event.modifiers.ctrl and event.key.name in ("z", "y"):
+            (self._undo if event.key.name == "z" else self._redo)()
+        elif event.key.name == " ":
+            self._live(not self.session.state.is_live)
+        elif event.key.name in "1234" and not event.modifiers.ctrl:
+            self._set(view=VIEWS[int(event.key.name) - 1])
+        elif event.key.name in ("+", "-"):
+            self._zoom(1 if event.key.name == "+" else -1)
+        elif event.key.name in (",", ".") and self._is_moving:
+            self._step(1 if event.key.name == "." else -1)
+
+    def _on_mouse(self, event):
+        place = event.image_y, event.image_x
+        row, col = self._at = self._seen(*place)
+        if event.type == "mousedown":
+            self._held = *place, self.session.crop
+        if self._held is None or not (event.buttons or event.type == "mouseup"):
+            self._held = None
+            return
+        y, x, crop = self._held
+        if self._fields["measure"].value:
+            top, left = self._seen(y, x)
+            self._edge = tuple(slice(min(pair), max(pair) + 1) for pair in ((top, row), (left, col)))
+            self._draw_edge()
+        elif crop is not None:
+            down, right = ((then - now) * own / n for then, now, own, n in zip(
+                (y, x), place, (crop.rows, crop.cols), self._shape, strict=True))
+            self._cut(crop.moved(round(down), round(right), self._shape))
+        if event.type == "mouseup":
+            self._held = None
+
+    def _seen(self, y, x):
+        """Row and column of the frame at a place of the canvas, whose size is said to be the frame's."""
+        crop = self.session.crop
+        top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+        return tuple(min(max(start + int(place * own / n), 0), n - 1) for start, place, own, n in zip(
+            (top, left), (y, x), (rows, cols), self._shape, strict=True))
+
+    def _on_size(self, event):
+        self._width = int(event.args["width"])
+
+    def _zoom(self, step):
+        self._cut(enlarged(self.session.crop, step, self._at or tuple(n // 2 for n in self._shape), self._shape,
+                           self._width))
+
+    def _cut(self, crop):
+        if crop != self.session.crop:
+            self.session.crop = crop
+            self._fields["picture"].style(f"image-rendering: {'pixelated' if crop else 'auto'}")
+            self.session.touch()
+            self._draw_edge()
+
+    def _draw_edge(self):
+        """The rectangle of the measured edge on the canvas, whose size is said to be the frame's."""
+        crop, shown = self.session.crop, ""
+        if self._edge is not None:
+            top, left, rows, cols = (crop.top, crop.left, crop.rows, crop.cols) if crop else (0, 0, *self._shape)
+            (y, high), (x, wide) = (((part.start - start) * n / own, (part.stop - part.start) * n / own)
+                                    for part, start, own, n in zip(self._edge, (top, left), (rows, cols), self._shape,
+                                                                   strict=True))
+            shown = (f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
+                     f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>')
+        self._fields["overlay"].content = shown
+
+    async def _error_map(self):
+        session = self.session
+        ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
+        try:
+            compared = await session.computed(session.producer.error, session.state, session.number)
+            codes, error = await run.io_bound(compared)
+        except GpusimError as error:
+            ui.notify(str(error), type="negative")
+            return
+        from PIL import Image
+
+        with ui.dialog(value=True), ui.card().classes("max-w-none").props(mark("error dialog")):
+            ui.label(f"mean electrons less their truth: {error.rms:.2g} rms, {error.p999_sigma:.2g} of a pixel's noise "
+                     f"at 99.9 %, {error.max_sigma:.2g} at most; full red is {SPAN:g} rms too much, full blue less")
+            ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
+
+    # what the page shows
+
+    def _follow(self, only=""):
+        """Put the settings into the controls. only: the one that was moved, where no other can have changed."""
+        state = self.session.state
+        if only in ("split", "frame"):
+            return
+        if only not in CONTROLS:
+            try:
+                _, self._table = camera_table(state.camera)
+            except GpusimError:
+                return
+        self._setting = True
+        try:
+            for control in [CONTROLS[only]] if only in CONTROLS else CONTROLS.values():
+                self._show(control.name, state.value(control, self._table))
+            if only in CONTROLS:
+                return
+            self._show("luminance", state.luminance)
+            for name, value in (("view", state.view), ("live", state.is_live), ("camera", state.camera),
+                                ("tolerance", state.tolerance), ("light", state.light or OWN)):
+                self._fields[name].value = value
+            for name in ("swap", "drop", "split"):
+                self._fields[name].visible = state.against is not None
+            self._fields["split"].value = PLACES * state.split
+            if self._is_moving:
+                self._fields["frame"].value = state.frame
+        finally:
+            self._setting = False
+
+    def _show(self, name, value):
+        field = self._fields[name]
+        if not isinstance(field, tuple):
+            field.value = value
+            return
+        slider, number, is_on, to_place, control = field
+        there = isinstance(value, int | float) and (control is None or value != control.off)
+        if there:
+            place = to_place(value)
+            if slider.value != place:
+                slider.value = place
+        number.value = value if there else None
+        if is_on is not None:
+            is_on.value = there
+
+    def _refresh(self):
+        session = self.session
+        session.used = time.monotonic()
+        self._fields["error"].text = session.error
+        wrong = self._turned if session.error else ""
+        if wrong != self._refused:
+            for name, error in ((self._refused, None), (wrong, session.error)):
+                if name:
+                    field = self._fields[name]
+                    (field[1] if isinstance(field, tuple) else field).error = error
+            self._refused = wrong
+        waits = 0.0 if session.begun is None else time.monotonic() - session.begun
+        self._fields["busy"].text = f"computing since {waits:.0f} s" if waits > PATIENT else ""
+        shown = session.shown
+        if shown is None:
+            return
+        if self._is_moving and session.state.is_live:
+            self._setting = True
+            self._fields["frame"].value = shown.number
+            self._setting = False
+        self._fields["known"].text = (
+            f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
+            f"{of_exposure(shown.facts)}")
+        self._fields["left out"].text = of_plan(shown.facts)
+
+    async def _statistics(self):
+        session = self.session
+        if session.shown is None or session.error:
+            return
+        part = self._edge if self._fields["measure"].value else None
+        try:
+            found = await session.computed(session.producer.statistics, session.state, session.shown.number, self._at,
+                                           part)
+        except Exception:
+            return  # the picture says it, also of a device that fails
+        self._fields["histogram"].content = histogram(found)
+        if pixel := found.get("pixel"):
+            self._fields["pixel"].text = (f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
+                                          f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB")
+        self._fields["difference"].text = (f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
+                                           if "difference" in found else "")
+        edge = found.get("edge", {})
+        self._fields["edge"].text = edge.get("why", "") if "mtf50" not in edge else (
+            f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees")
+        self._fields["response"].content = response(edge) if "mtf50" in edge else ""
+
+    # what is saved
+
+    def _save_camera(self):
+        try:
+            self.session.state.built()
+            ui.download.content(self.session.state.toml(), "camera.toml")
+        except GpusimError as error:
+            ui.notify(str(error), type="negative")
+
+    async def _save_frame(self, suffix):
+        session = self.session
+        number = session.shown.number if session.shown else session.state.frame
+        try:
+            data = await session.computed(_saved, session.producer, session.state, number, suffix)
+        except GpusimError as error:
+            ui.notify(str(error), type="negative")
+            return
+        ui.download.content(data, f"frame{suffix}")
+
+    def _show_link(self):
+        state = self.session.state
+        with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
+            ui.label("The page with these settings:")
+            ui.code(f"/?state={_quoted(state.link())}").props(mark("link"))
+            ui.label("The same on the command line, with the camera saved beside it:")
+            ui.code(state.command(self._scene)).props(mark("command"))
+        dialog.open()
+
+
+def _saved(producer, state, number, suffix):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"frame{suffix}"
+        producer.frame(state, number).save(path)
+        return path.read_bytes()
+
+
+def _quoted(text):
+    from urllib.parse import quote
+
+    return quote(text, safe="")
+
+
+def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:
+    """Put the page and its websocket into NiceGUI's application. made: gives a client's Producer."""
+    from fastapi import WebSocket, WebSocketDisconnect
+
+    sessions = Sessions(made, first)
+
+    @ui.page("/")
+    def page(s: str = "", state: str = ""):
+        try:
+            token, session = sessions.of(s, state)
+        except GpusimError as error:
+            ui.label(str(error)).classes("text-red-500")
+            return
+        Page(session, token, title, shape, scene).build()
+        ui.run_javascript(f"history.replaceState(null, '', '/?s={token}')")
+
+    @app.websocket("/picture/{token}")
+    async def picture(socket: WebSocket, token: str):
+        session = sessions.known(token)
+        if session is None:
+            await socket.close(1008)
+            return
+        await socket.accept()
+
+        async def acknowledged():
+            message = await socket.receive()
+            if message["type"] == "websocket.disconnect":
+                raise WebSocketDisconnect
+            if len(message.get("text") or message.get("bytes") or "") > 16:
+                await socket.close(1009)
+                raise WebSocketDisconnect
+
+        try:
+            await session.serve(socket.send_bytes, acknowledged)
+        except (WebSocketDisconnect, RuntimeError):
+            pass  # it has gone
+
+    return sessions

@@ -1,0 +1,205 @@
+"""Pictures of a scene by a client's camera: what a slider touches is computed anew, the rest is kept."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gpusim.apps.preview.measures import edge, error_map, light, on_host
+from gpusim.apps.preview.state import State
+from gpusim.apps.video.scenes import Scenes
+from gpusim.backends import Device
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData
+from gpusim.io.scene.scenes import relit
+from gpusim.judge.truth import require_truth, seen
+from gpusim.measure.checker import checker_of
+from gpusim.measure.mosaic import colored
+from gpusim.pipeline.frame import Frame
+from gpusim.pipeline.report import Error
+from gpusim.pipeline.simulator import Simulator
+
+SPREAD = 4.0  # standard deviations of noise from black to white
+RAW_GAMMA = 2.2  # of the mosaic's picture
+NUMBERS = 2**32  # of frames of a scene that does not move
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is shown: codes, uint8 (rows, cols, 3). number: of the frame. ms: that it took. facts: for the page."""
+
+    codes: np.ndarray
+    number: int
+    ms: float
+    facts: dict = field(default_factory=dict)
+
+
+class Producer:
+    """A client's pictures of scenes. Used by one thread at a time, as all that share a device.
+
+    period: least time between frames of scenes that move [s], 0 where they do not.
+    """
+
+    def __init__(self, scenes: Scenes, device: Device, period: float = 0.0):
+        self._scenes, self._device, self.period = scenes, device, period
+        self.frames = NUMBERS if scenes.is_still else scenes.count
+        self._built: tuple[State | None, Camera | None] = None, None
+        self._program = None
+        self._tolerance: str | None = None
+        self._shown: tuple = (None, None)  # number and scene
+        self._arriving, self._next = scenes.between(0, 0), -1
+        self._lit: tuple = (None, None, None, None)
+        self._other: Producer | None = None
+        self._checker: tuple = (None, None)
+
+    def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
+        """A frame of a state. drafts: see `Program.update`. Raises what the camera, the light and the simulation do."""
+        begun = time.perf_counter()
+        program = self._updated(state, number, drafts)
+        show = {"rendered": self._rendered, "raw": self._raw, "electrons": self._electrons, "noise": self._noise}
+        codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
+        account, exposure = program.account, program.exposure
+        plan = program.plan
+        tolerance = None if plan.is_draft else program.simulator.tolerance
+        verdict = None if tolerance is None else account.verdict(tolerance)
+        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft,
+                 "verdict": verdict and verdict.state, "unknown": verdict.unknown if verdict else account.unknown,
+                 "exposure": exposure.exposure_time, "gain": exposure.gain}
+        if state.other is None:
+            self._other = None  # and what it has on the device
+        else:
+            self._other = self._other or Producer(self._scenes, self._device)
+            codes = _beside(codes, self._other.picture(state.other, number, drafts).codes, state.split)
+        return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
+
+    def frame(self, state: State, number: int) -> Frame:
+        """A frame to be saved: of a simulator of its own, as `gpusim simulate` makes it. Raises as `picture`."""
+        simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
+        return next(simulator.frames(self._scene_in(state, number), 1, seed=state.seed, first=number)).complete()
+
+    def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
+        """Function that takes seconds, and any thread: map of the error of the mean electrons, and that error.
+
+        The map is codes (rows, cols, 3). It is of the frame that is saved, which no draft is. Raises as `picture`, and
+        what `Simulator` with `verify` does; the function BadData for a large frame whose blur varies over the field.
+        """
+        simulator = Simulator(state.built(), device=self._device, tolerance=state.asked)
+        scene = self._scene_in(state, number)
+        require_truth(simulator.camera, scene)
+        exposure = simulator.expose(scene)
+        exposure = replace(exposure, mean=self._on_host(exposure.mean))
+
+        def compared():
+            mean, truth = seen(simulator, scene, exposure)
+            if mean.ndim == 1:
+                raise BadData("error map: of so large a frame whose blur varies over the field parts alone are known")
+            return error_map(mean, truth), Error.between(mean, truth, simulator.camera.sensor.read_sigma)
+
+        return compared
+
+    def statistics(self, state: State, number: int, at: tuple[int, int] | None = None,
+                   part: tuple[slice, slice] | None = None) -> dict:
+        """What is told beside the picture: see `gpusim.apps.preview.measures`.
+
+        at: row and column of a pixel, part: rows and columns of an edge, or None. Raises as `picture`.
+        """
+        program = self._updated(state, number, drafts=True)
+        exposure = program.exposure
+        found = light(program, exposure.layered(self._on_host(exposure.mean)), at)
+        scene = program.scene
+        if self._checker[0] is not scene:
+            self._checker = scene, checker_of(scene)
+        checker = self._checker[1]
+        if part is None and checker is None:
+            return found
+        shots = program.shots
+        linear, rendering = shots.linear(shots.raw(state.seed, number))
+        linear = np.moveaxis(self._on_host(linear), 0, -1)
+        if part is not None:
+            found["edge"] = edge(linear, part)
+        if checker is not None and linear.shape[:2] == scene.shape:
+            differences = checker.differences(linear, rendering.diffuser, exposure.camera.display)
+            found["difference"] = float(differences.mean())
+        return found
+
+    def _updated(self, state, number, drafts):
+        last, camera = self._built
+        if last is None or camera is None or (last.camera, last.changes) != (state.camera, state.changes):
+            camera = state.built()
+            self._built = state, camera
+        scene = self._scene_in(state, number)
+        if self._program is None or self._tolerance != state.tolerance:
+            self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(scene)
+            self._tolerance = state.tolerance
+        changes = {}
+        if camera is not self._program.simulator.camera or (not drafts and self._program.plan.is_draft):
+            changes["camera"] = camera
+        if scene is not self._program.scene:
+            changes["scene"] = scene
+        if changes:
+            before = self._program.simulator.camera, self._program.scene
+            try:
+                self._program.update(**changes, drafts=drafts)
+                self._program.exposure  # noqa: B018  what is wrong is said now
+            except Exception:
+                self._program.update(camera=before[0], scene=before[1])
+                self._built = None, None
+                raise
+        return self._program
+
+    def _scene_in(self, state, number):
+        number = 0 if self._scenes.is_still else number % self._scenes.count
+        if self._shown[0] != number:
+            if number != self._next:
+                self._arriving, self._next = self._scenes.between(number, self._scenes.count), number
+            self._shown, self._next = (number, next(self._arriving)), number + 1
+        own = self._shown[1]
+        if state.light is None and state.luminance is None:
+            return own
+        light, luminance, last, scene = self._lit
+        if last is not own or (light, luminance) != (state.light, state.luminance):
+            scene = relit(own.name, own, state.light, state.luminance)
+            self._lit = state.light, state.luminance, own, scene
+        return scene
+
+    def _on_host(self, array):
+        return on_host(self._device, array)
+
+    def _rendered(self, program, seed, number):
+        return self._on_host(program.codes(seed=seed, frame=number))
+
+    def _raw(self, program, seed, number):
+        raw = self._on_host(program.raw(seed=seed, frame=number))
+        sensor = program.exposure.camera.sensor
+        shown = np.clip((raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1)
+        return colored(sensor, program.exposure.layered(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5)))
+
+    def _electrons(self, program, seed, number):
+        mean = program.exposure.layered(self._on_host(program.exposure.mean))
+        sensor = program.exposure.camera.sensor
+        return colored(sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5))
+
+    def _noise(self, program, seed, number):
+        exposure, sensor = program.exposure, program.exposure.camera.sensor
+        raw = exposure.layered(self._on_host(program.raw(seed=seed, frame=number)))
+        mean = exposure.layered(self._on_host(exposure.mean))
+        expected = np.minimum(mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level)
+        sigma = np.sqrt(mean + sensor.read_sigma**2) * sensor.gain_dn_per_electron
+        shown = np.clip(0.5 + (raw - expected) / (2 * SPREAD * np.maximum(sigma, 1e-9)), 0, 1)
+        return _grey(np.uint8(255 * shown + 0.5))
+
+
+def _beside(codes, others, split):
+    """One picture on the left of a line, another on its right."""
+    if codes.shape != others.shape:
+        raise BadData(f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
+                      f"{codes.shape[1]}x{codes.shape[0]}, as this one's has")
+    at = round(split * codes.shape[1])
+    codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
+    codes[:, max(at - 1, 0) : at + 1] = 255
+    return codes
+
+
+def _grey(values):
+    return np.repeat((values if values.ndim == 2 else values.mean(axis=0).astype(np.uint8))[..., None], 3, axis=2)

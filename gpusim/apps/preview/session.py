@@ -1,0 +1,179 @@
+"""A client of the preview: what it has set, and the frames on their way to it. Pictures are made while it waits."""
+
+import asyncio
+import io
+import struct
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from gpusim.apps.preview.crop import Crop
+from gpusim.apps.preview.producer import Picture, Producer
+from gpusim.apps.preview.state import History, State
+from gpusim.domain.errors import GpusimError, one_line
+
+IN_FLIGHT = 2  # frames that were sent and not yet painted
+QUALITY = 85  # of the JPEGs
+STILL = 0.3  # [s] without a change after which pictures are no drafts, and one that stands still is sent without loss
+COUNTED = 30  # frames of which rate and latency are told
+HEAD = struct.Struct("<III")  # number, version, kind
+JPEG, PNG = 0, 1
+
+DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # what is on a device is used by one thread at a time
+
+
+class Session:
+    """Settings and pictures of a client. error: why the last settings make no picture, or ""."""
+
+    def __init__(self, producer: Producer, state: State):
+        self.history, self.producer = History(state), producer
+        self.version, self.number = 0, state.frame
+        self.shown: Picture | None = None
+        self.crop: Crop | None = None  # what is shown of it; None: all
+        self.error = ""
+        self.begun: float | None = None  # when the picture that is being made was begun
+        self.used = time.monotonic()
+        self._touched = -STILL  # when the settings were changed last
+        self._changed = asyncio.Event()  # settings, or a frame was painted
+        self._painted: deque[float] = deque(maxlen=COUNTED)
+        self._waits: deque[float] = deque(maxlen=COUNTED)
+
+    @property
+    def state(self) -> State:
+        """The present settings."""
+        return self.history.state
+
+    def set(self, state: State, by: str = ""):
+        """Go on with other settings; by: the slider that is moved, "" for a step of its own."""
+        self.history.set(state, by)
+        self.touch()
+
+    def touch(self):
+        """Something has changed: another picture is wanted."""
+        self.version += 1
+        self.used = self._touched = time.monotonic()
+        self._changed.set()
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the settings have just been changed."""
+        return time.monotonic() - self._touched < STILL
+
+    @property
+    def rate(self) -> float:
+        """Painted frames a second, of the last ones."""
+        span = self._painted[-1] - self._painted[0] if len(self._painted) > 1 else 0.0
+        return (len(self._painted) - 1) / span if span and time.monotonic() - self._painted[-1] < 2 else 0.0
+
+    @property
+    def latency(self) -> float:
+        """Median time from a frame's start to its paint [ms]."""
+        return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
+
+    async def computed(self, work, *arguments):
+        """What a function of the producer gives, by the device's thread."""
+        return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+
+    async def serve(self, send, acknowledged):
+        """Send frames as they are wanted. send: coroutine of bytes; acknowledged: coroutine that waits for a paint."""
+        begun: deque[float] = deque()
+
+        async def listen():
+            while True:
+                await acknowledged()
+                if begun:  # more acknowledgements than frames say nothing
+                    self._waits.append(time.monotonic() - begun.popleft())
+                    self._painted.append(time.monotonic())
+                self._changed.set()
+
+        async def push():
+            sent, start = -1, 0.0
+            while True:
+                version, settles, most = self.version, False, IN_FLIGHT
+                if sent == version:
+                    if not self._moves:
+                        most = 1  # noise alone is new: what is changed next is not to wait behind it
+                    if self.error or not self.state.is_live:
+                        if self.error or await self._changes(version, STILL):
+                            await self._changes(version)
+                            continue
+                        settles = True
+                    elif await self._changes(version, start + self.producer.period - time.monotonic()):
+                        continue
+                start = time.monotonic()
+                data = await self._made(version, settles)
+                while data and len(begun) >= most and self.version == version:
+                    await self._change()
+                if data and len(begun) < most:  # else there are newer settings
+                    begun.append(start)
+                    await send(data)
+                sent = version
+                if settles:
+                    await self._changes(version)
+
+        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(push())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+
+    async def _changes(self, version, within=None):
+        """Whether the settings go on from a version, within so many seconds."""
+        if within is not None and within <= 0:
+            return self.version != version
+        while self.version == version:
+            try:
+                await asyncio.wait_for(self._change(), within)
+            except TimeoutError:
+                return False
+        return True
+
+    async def _change(self):
+        """Wait for other settings, or for a paint."""
+        self._changed.clear()
+        await self._changed.wait()
+
+    async def _made(self, version, settles):
+        """A frame's bytes; none where the settings make no picture, and the last one stays."""
+        state, crop = self.state, self.crop
+        if state.is_live:
+            self.number = (self.number + 1) % self.producer.frames
+        else:
+            self.number = state.frame
+        self.begun = time.monotonic()
+        try:
+            shown, kind, data = await self.computed(self._pictured, state, self.number, crop, settles)
+        except GpusimError as error:
+            self.error = str(error)
+            return None
+        except Exception as error:  # a device that fails: the page says so, and goes on when it can
+            self.error = f"the device fails: {one_line(str(error) or type(error).__name__)}"
+            return None
+        finally:
+            self.begun = None
+        self.shown, self.error = shown, ""
+        return HEAD.pack(shown.number, version % 2**32, kind) + data
+
+    def _pictured(self, state, number, crop, settles):
+        import simplejpeg
+
+        shown = self.shown
+        if not settles or shown is None or shown.facts.get("draft"):
+            shown = self.producer.picture(state, number, drafts=self._moves and not settles)
+        codes = shown.codes if crop is None else shown.codes[crop.part]
+        if settles or crop is not None:
+            return shown, PNG, _png(codes)
+        return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
+
+
+def _png(codes):
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(codes).save(file, "PNG", compress_level=1)
+    return file.getvalue()

@@ -1,0 +1,176 @@
+"""What one client of the preview has set: a camera file's table, the scene's light, and what is shown of it."""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from shlex import join
+from time import monotonic
+from typing import Any
+
+from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
+from gpusim.data.lights import BRIGHTEST
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData
+from gpusim.io.camera.cameras import anchored, camera_of, camera_table
+
+MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
+LONGEST_LINK = 8192  # [character]
+
+
+@dataclass(frozen=True)
+class State:
+    """Settings. camera: a built-in one's name, or a file.
+
+    changes: name of a control -> value in the camera file's unit. light, luminance [cd m-2]: of the scene, or None: its
+    own. tolerance: of TOLERANCES. view: of VIEWS. is_live: noise runs, and the scene where it moves. seed, frame: of
+    the noise, and the frame of a scene that moves, where they stand still. against: `camera` and `changes` of another
+    that is shown beside this one, from `split` of the width on; None: none is.
+    """
+
+    camera: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    light: str | None = None
+    luminance: float | None = None
+    tolerance: str = "1e-3"
+    view: str = "rendered"
+    is_live: bool = True
+    seed: int = 0
+    frame: int = 0
+    against: dict[str, Any] | None = None
+    split: float = 0.5
+
+    @property
+    def other(self) -> "State | None":
+        """The same of the other camera, where there is one."""
+        return None if self.against is None else replace(self, **self.against, against=None)
+
+    def value(self, control: Control, table: dict) -> Any:
+        """What a control has: set, or in the camera file, or its default."""
+        if control.name in self.changes:
+            return self.changes[control.name]
+        if control.named:
+            return next(iter(control.named))  # the file's own
+        given = table.get(control.section, {}).get(control.key, control.default)
+        return given if control.item is None else _long(given, control)[control.item]
+
+    def table(self) -> dict:
+        """The camera file's table with the changes, its files named from anywhere. Raises BadFile, UnknownName."""
+        return self.changed(anchored(*camera_table(self.camera)))
+
+    def changed(self, table: dict) -> dict:
+        """A camera file's table, into which the changes are put. Raises BadData, OutOfRange for a value."""
+        for name, value in self.changes.items():
+            control = CONTROLS[name]
+            control.check(value)
+            if control.named and (value := control.named[value]) is None:
+                continue
+            section = table.setdefault(control.section, {})
+            if control.item is not None:
+                section[control.key] = _long(section.get(control.key, control.default), control)
+                section[control.key][control.item] = value
+            else:
+                section[control.key] = value
+        return table
+
+    def built(self) -> Camera:
+        """The camera. Raises what `open_camera` does."""
+        return camera_of(camera_table(self.camera)[0], self.table())
+
+    def toml(self) -> str:
+        """The camera file."""
+        import tomli_w
+
+        return tomli_w.dumps(self.table())
+
+    def command(self, scene: str, file: str = "camera.toml") -> str:
+        """The command line that makes what is shown, with the camera's file beside it."""
+        words = ["gpusim", "simulate", scene, "--camera", file]
+        for option, value in (("--light", self.light), ("--luminance", self.luminance), ("--tolerance", self.asked)):
+            words += [] if value is None else [option, f"{value:g}" if isinstance(value, float) else str(value)]
+        return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
+
+    @property
+    def asked(self) -> str | None:
+        """The tolerance as a Simulator takes it."""
+        return None if self.tolerance == "exact" else self.tolerance
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether all fields are of their types, and of what the page can set."""
+        one, numbers, other = self.luminance, (self.seed, self.frame), self.against
+        return (isinstance(self.camera, str) and isinstance(self.changes, dict) and self.changes.keys() <= {*CONTROLS}
+                and not any(isinstance(value, list | dict | None) for value in self.changes.values())
+                and (self.light is None or isinstance(self.light, str))
+                and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
+                and self.tolerance in TOLERANCES and self.view in VIEWS and isinstance(self.is_live, bool)
+                and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
+                and (other is None or (isinstance(other, dict) and other.keys() <= {"camera", "changes"}))
+                and type(self.split) in (int, float) and 0 <= self.split <= 1)
+
+    def link(self) -> str:
+        """All of it as text, for an address: `State.of_link` reads it."""
+        return json.dumps({key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
+                          separators=(",", ":"))
+
+    @classmethod
+    def of_link(cls, text: str, camera: str) -> "State":
+        """Of a link of somebody's, or of an older page. camera: where it names none. Raises BadData."""
+        try:
+            if len(text) > LONGEST_LINK:
+                raise ValueError
+            found = {"camera": camera} | json.loads(text)
+            state = cls(**found)
+            known = state.is_sound and (state.other or state).is_sound
+        except (ValueError, TypeError, RecursionError):  # RecursionError: of JSON, lists in lists
+            known = False
+        if not known:
+            raise BadData("link: not one of this preview's; wanted one that its page made")
+        # a link may come from anybody: it names no files of this machine
+        if state.against and Path(state.against.get("camera", "")).suffix:
+            state = replace(state, against=state.against | {"camera": camera})
+        return replace(state, camera=camera) if Path(state.camera).suffix else state
+
+
+def _long(given, control):
+    """A list with a place for a control's item."""
+    return [*given, *control.default[len(given) :]]
+
+
+_DEFAULTS = {key: value for key, value in asdict(State("")).items() if key != "camera"}
+
+
+class History:
+    """States, one after the other, and where among them one is."""
+
+    def __init__(self, state: State):
+        self._states, self._at, self._last = [state], 0, ("", 0.0)
+
+    @property
+    def state(self) -> State:
+        """The present one."""
+        return self._states[self._at]
+
+    def set(self, state: State, by: str):
+        """Go on to another state; the movements of one slider, `by` its name, are one step until it rests."""
+        last, then = self._last
+        if by and by == last and monotonic() - then < REST and self._at:
+            self._states[self._at :] = [state]
+        else:
+            self._states = [*self._states[: self._at + 1][-MOST_STEPS:], state]
+            self._at = len(self._states) - 1
+        self._last = by, monotonic()
+
+    def undo(self) -> bool:
+        """Go a step back; whether there was one."""
+        return self._go(-1)
+
+    def redo(self) -> bool:
+        """Go a step forth; whether there was one."""
+        return self._go(1)
+
+    def _go(self, step):
+        self._last = "", 0.0
+        if not 0 <= self._at + step < len(self._states):
+            return False
+        self._at += step
+        return True

@@ -1,0 +1,1 @@
+"""Batches of frames as tensors of other libraries."""

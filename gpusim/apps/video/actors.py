@@ -1,0 +1,51 @@
+"""Pictures that move before the scene of a video, as a command line names them."""
+
+import argparse
+from dataclasses import dataclass
+from math import isfinite, radians
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.domain.animation import Actor
+
+KEYS = {"at": 2, "pan": 2, "roll": 1, "zoom": 1, "zooming": 1}  # name -> numbers
+
+
+@dataclass(frozen=True)
+class Cast:
+    """A picture with alpha and its path: place at the first frame, then pan, roll, zoom and zooming as of a Motion."""
+
+    path: Path
+    numbers: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    @classmethod
+    def parse(cls, text: str) -> "Cast":
+        """Of a command line: `car.png,at=40:-200,pan=0:120,roll=5`."""
+        name, *parts = text.split(",")
+        found: dict[str, tuple[float, ...]] = {}
+        for part in parts:
+            key, _, value = part.partition("=")
+            try:
+                numbers = tuple(float(one) for one in value.split(":"))
+            except ValueError:
+                numbers = ()
+            if len(numbers) != KEYS.get(key) or key in found or not all(map(isfinite, numbers)):
+                raise argparse.ArgumentTypeError(f"{part!r}: wanted at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or "
+                                                 "zooming=FACTOR, each once")
+            found[key] = numbers
+        return cls(Path(name), tuple(found.items()))
+
+    def actor(self) -> "Actor":
+        """The picture, and its path. Raises BadFile, OutOfRange."""
+        from gpusim.domain.animation import Actor
+        from gpusim.domain.motion import Motion
+        from gpusim.io.scene.photo import read_cutout
+
+        own = dict(self.numbers)
+        content, alpha = read_cutout(self.path)
+        down, right = own.get("pan", (0.0, 0.0))
+        path = Motion((down, right), radians(own.get("roll", (0.0,))[0]), own.get("zoom", (1.0,))[0],
+                      own.get("zooming", (1.0,))[0])
+        row, col = own.get("at", (0.0, 0.0))
+        return Actor(content, alpha, (row, col), path)

@@ -1,0 +1,213 @@
+"""Encoded videos by FFmpeg's libraries (PyAV): each segment by itself, then all in one file without encoding again.
+
+The encoders' threads are set, since what they give depends on their number; x264 looks ahead at no frame, where what it
+gave differed from run to run (heights that are not whole macroblocks). x265 has threads for frames but no pool of
+workers: with one, the end of a stream now and then hangs (x265 4.2: the look-ahead's worker wakes nobody where its
+pictures were taken while it still counted as busy, and who took them waits for more for ever). Without it x265 has no
+wavefronts either: 1920 x 1080 takes 145 ms a frame on two cores, with it 98 ms.
+
+Colours are tagged: the display's primaries and curve, and BT.709's matrix where it is stored as luma and chroma, of
+limited range.
+"""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.color.encoding import decoding
+from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadFile, GpusimError, OutOfRange, UnknownName
+from gpusim.io.atomic import atomic_path
+from gpusim.io.files import reading
+
+# ITU-T H.273: primaries, transfer functions, matrices; and libavutil's ranges
+PRIMARIES = {"srgb": 1, "display-p3": 12}
+UNKNOWN, SRGB_CURVE, LINEAR, RGB, BT709 = 2, 13, 8, 0, 1
+LIMITED, FULL = 1, 2
+EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"  # of the scaler, alike on all processors
+TO_LUMA = f"{EXACT}:in_range=full:out_range=tv:out_color_matrix=bt709"
+
+
+@dataclass(frozen=True)
+class Codec:
+    """A way to encode.
+
+    encoder: its name in FFmpeg. output: of `Simulator.stream`. stored, given: formats of pixels as FFmpeg names them.
+    containers: suffixes of files that hold it. options: of the encoder; `quality` is its option for that.
+    """
+
+    encoder: str
+    output: str
+    stored: str
+    given: str
+    containers: tuple[str, ...]
+    options: tuple[tuple[str, str], ...]
+    quality: str = ""
+
+
+LEAST_H265 = 64  # pixels along each axis: libx265 ends the process for fewer
+PART = ".nut"  # of a segment's file, which holds what any encoder gives as it is
+LOSSLESS = ("level", "3"), ("slicecrc", "1")  # of FFV1, with a checksum of each slice
+CODECS = {
+    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", (".mp4", ".mkv"),
+                  (("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")), "crf"),
+    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", (".mp4", ".mkv"),
+                  (("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")), "crf"),
+    "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
+    "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
+}
+BY_SUFFIX = {".mp4": "h264", ".mkv": "h264"}
+CONTAINERS = tuple(BY_SUFFIX)
+
+
+def pyav():
+    """The package. Raises GpusimError where it is missing."""
+    try:
+        import av
+        import av.filter
+    except ImportError as error:
+        raise GpusimError(f"encoded videos need PyAV ({error}); pip install 'gpusim[video]'") from error
+    # FFmpeg says nothing. With a level, threads of its decoders wait for Python's lock to say what is damaged, and who
+    # has the lock waits for them as a file is closed: a deadlock
+    av.logging.set_level(None)
+    return av
+
+
+@contextmanager
+def _told(path):
+    """While FFmpeg writes a file: what it refuses is a BadFile."""
+    try:
+        yield
+    except pyav().error.FFmpegError as error:
+        raise BadFile(path, f"cannot be encoded: {error.strerror}") from error
+
+
+def codec_of(path: Path, name: str | None) -> Codec:
+    """The codec of a file to be written. Raises UnknownName, OutOfRange, and GpusimError without its encoder."""
+    name = BY_SUFFIX[path.suffix.lower()] if name is None else name
+    if name not in CODECS:
+        raise UnknownName("codec", name, CODECS)
+    codec, known = CODECS[name], pyav().codecs_available
+    if path.suffix.lower() not in codec.containers:
+        raise OutOfRange("--codec", f"{name} in {path.suffix}", f"{' or '.join(codec.containers)} files for it")
+    if codec.encoder not in known:
+        there = [other for other, one in CODECS.items() if one.encoder in known]
+        raise GpusimError(f"codec {name}: this PyAV has no encoder {codec.encoder}; it has those of "
+                          f"{', '.join(there) or 'none of ours'}")
+    return codec
+
+
+class Encoder:
+    """Encodes frames into segments' files. shape: rows and columns. quality: constant rate factor, None: its default.
+
+    Raises OutOfRange for odd sides where chroma has half of them.
+    """
+
+    def __init__(self, codec: Codec, shape, rate: Fraction, display: Display, tone: tuple = (),
+                 quality: float | None = None):
+        rows, cols = shape
+        if codec.stored.startswith("yuv420") and (rows % 2 or cols % 2):
+            raise OutOfRange("frame size of an encoded video", f"{cols}x{rows}", "even numbers of columns and rows, "
+                             "or --codec ffv1-linear")
+        if codec.encoder == "libx265" and min(rows, cols) < LEAST_H265:
+            raise OutOfRange("frame size of h265", f"{cols}x{rows}", f"{LEAST_H265} columns and rows or more, or "
+                             "--codec h264")
+        if quality is not None and not codec.quality:
+            raise OutOfRange("--quality", quality, "none for ffv1, which loses nothing")
+        self.codec, self.rate, self._display, self._shape, self._tone = codec, rate, display, shape, tone
+        self._options = dict(codec.options) | ({codec.quality: f"{quality:g}"} if quality is not None else {})
+
+    def segment(self, path: Path, frames: Iterable[np.ndarray]) -> Iterator[int]:
+        """Write a file of frames: codes (rows, cols, 3), raw (rows, cols) or linear (rows, cols, 3).
+
+        Gives the number of each that was taken; the file is there when all were. Raises BadFile.
+        """
+        av = pyav()
+        with _told(path), atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+            stream, change = self._stream(container), self._changed(av)
+            for number, values in enumerate(frames):
+                frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
+                frame.pts, frame.time_base = number, 1 / self.rate
+                container.mux(stream.encode(change(frame)))
+                yield number
+            container.mux(stream.encode(None))
+
+    def join(self, path: Path, parts: list[tuple[int, Path]]):
+        """Write one file of segments' files, each with the number of its first frame. Raises BadFile."""
+        # decoders take frames in another order than they show them, and begin so many frames before
+        delay = max((number - shown for _, part in parts for number, shown, _ in self._packets(part)), default=0)
+        with _told(path), atomic_path(path) as temporary, pyav().open(str(temporary), "w") as container:
+            stream = self._stream(container)  # its encoder gives no frames, but what stands before them
+            for first, part in parts:
+                for number, shown, packet in self._packets(part):
+                    packet.time_base, packet.stream = 1 / self.rate, stream
+                    packet.pts, packet.dts, packet.duration = first + shown, first + number - delay, 1
+                    container.mux(packet)
+
+    def _packets(self, part):
+        """Number in a segment's file, number in the order of the frames, and packet of each that is encoded."""
+        with reading(part, "a segment of this video"), pyav().open(str(part)) as source:
+            packets = [packet for packet in source.demux(video=0) if packet.size]
+            shown = [round(packet.pts * packet.time_base * self.rate) for packet in packets]
+            return [(number, at - min(shown), packet)
+                    for number, (at, packet) in enumerate(zip(shown, packets, strict=True))]
+
+    def _stream(self, container):
+        """A stream of this codec in a file to be written."""
+        rows, cols = self._shape
+        stream = container.add_stream(self.codec.encoder, rate=self.rate, options=self._options)
+        stream.width, stream.height, stream.pix_fmt = cols, rows, self.codec.stored
+        self._tag(stream.codec_context)
+        return stream
+
+    def _tag(self, context):
+        display = self._display
+        known = PRIMARIES.get(display.name, UNKNOWN) if display.name in DISPLAYS and display.encodes_like(
+            DISPLAYS[display.name]) else UNKNOWN
+        curve = SRGB_CURVE if display.curve == "srgb" else UNKNOWN
+        if self.codec.output == "raw":
+            tags = UNKNOWN, UNKNOWN, UNKNOWN, FULL
+        elif self.codec.given == self.codec.stored:
+            tags = known, LINEAR, RGB, FULL
+        else:
+            tags = known, curve, BT709, LIMITED
+        context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
+
+    def _changed(self, av):
+        """From a frame of the given format to one of the stored format."""
+        if self.codec.given == self.codec.stored:
+            return lambda frame: frame
+        (rows, cols), graph = self._shape, av.filter.Graph()
+        parts = [graph.add_buffer(width=cols, height=rows, format=av.VideoFormat(self.codec.given),
+                                  time_base=1 / self.rate), graph.add("scale", TO_LUMA),
+                 graph.add("format", self.codec.stored), graph.add("buffersink")]
+        for part, following in pairwise(parts):
+            part.link_to(following)
+        graph.configure()
+
+        def change(frame):
+            graph.push(frame)
+            return graph.pull()
+
+        return change
+
+    def _values(self, values):
+        """A frame as an array of the given format."""
+        if self.codec.output != "linear":
+            return np.ascontiguousarray(values)
+        if self.codec.stored == self.codec.given:
+            return np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
+        return self._codes[np.rint(np.sqrt(np.clip(values, 0, 1)) * np.float32(len(self._codes) - 1)).astype(np.int32)]
+
+    @cached_property
+    def _codes(self):
+        """Codes of 16 bits by the square root of the light, in which they are nearly even."""
+        codes, light = np.arange(2**14) / (2**14 - 1), np.linspace(0, 1, 2**17) ** 2
+        values = np.interp(light, decoding(self._display, self._tone)(codes), codes)
+        return np.rint(65535 * values).astype(np.uint16)

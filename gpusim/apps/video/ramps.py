@@ -1,0 +1,62 @@
+"""What changes evenly over a video: exposure, speed, lens and light."""
+
+import argparse
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from gpusim.cli.options import operated, seconds_of
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.domain.camera import Camera
+    from gpusim.domain.scene import Scene
+
+CAMERA = ("exposure", "iso", "f-number", "focus")
+NAMES = (*CAMERA, "light")
+
+
+@dataclass(frozen=True)
+class Ramps:
+    """Values at the first frame and at the last one, evenly in the logarithm between.
+
+    ranges: name of NAMES -> (first, last): exposure time [s], ISO speed, f-number, distance of what is in focus [m],
+    and a factor of all light.
+    """
+
+    ranges: tuple[tuple[str, tuple[float, float]], ...] = ()
+
+    @classmethod
+    def parse(cls, text: str) -> "Ramps":
+        """Of a command line: `exposure=1/500..1/30,focus=0.3..5`."""
+        found: dict[str, tuple[float, float]] = {}
+        for part in text.split(","):
+            name, _, value = part.partition("=")
+            ends = value.split("..")
+            try:
+                numbers = [seconds_of(end) if name == "exposure" else float(end) for end in ends]
+            except (ValueError, argparse.ArgumentTypeError):
+                numbers = []
+            if name not in NAMES or name in found or len(numbers) != 2 or not all(
+                    isinstance(number, float) and isfinite(number) and number > 0 for number in numbers):
+                raise argparse.ArgumentTypeError(f"{part!r}: wanted NAME=FIRST..LAST, numbers above 0, each NAME once: "
+                                                 f"{', '.join(NAMES)}")
+            found[name] = numbers[0], numbers[1]
+        return cls(tuple(found.items()))
+
+    def at(self, part: float) -> dict[str, float]:
+        """Values at a part of the video, 0 .. 1."""
+        return {name: float(min(max(first * (last / first) ** part, min(first, last)), max(first, last)))
+                for name, (first, last) in self.ranges}  # a power rounds, and must not leave the range
+
+    def camera(self, camera: "Camera", part: float) -> "Camera":
+        """The camera there. Raises what it does for settings that it cannot have."""
+        values = self.at(part)
+        if not any(name in CAMERA for name in values):
+            return camera
+        return operated(camera, argparse.Namespace(scaling=None, **{
+            name.replace("-", "_"): values.get(name) for name in CAMERA}))
+
+    def scene(self, scene: "Scene", part: float) -> "Scene":
+        """The scene in the light that there is then."""
+        factor = self.at(part).get("light")
+        return scene if factor is None else scene.brightened(factor)

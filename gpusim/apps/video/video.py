@@ -1,0 +1,246 @@
+"""Every frame of a video: computed segment by segment while the next scenes are read and the last frames written."""
+
+import glob
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import closing
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpusim.apps.video.codecs import PART, Codec, Encoder
+from gpusim.apps.video.loops import NO_LOOPS, Loops
+from gpusim.apps.video.manifest import PARTS
+from gpusim.apps.video.pipeline import ahead
+from gpusim.apps.video.ramps import Ramps
+from gpusim.apps.video.scenes import Moving, Scenes
+from gpusim.captures.moving import expose_motion
+from gpusim.domain.account import Account
+from gpusim.domain.animation import Animation
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import OutOfRange
+from gpusim.pipeline.simulator import Simulator
+
+NO_RAMPS = Ramps()
+READ, COMPUTED = 2, 3  # scenes and frames that are ready before they are needed
+
+
+@dataclass(frozen=True)
+class Made:
+    """A frame. values: a Frame, or an array of what a codec takes. account: its predicted errors.
+
+    exposure_time: [s]. gain: analog, beside the sensor's. plan: name of the plan that made it.
+    """
+
+    number: int
+    values: Any
+    account: Account
+    exposure_time: float
+    gain: float
+    plan: str = ""
+
+
+def within_period(camera: Camera, rate: Fraction) -> Camera:
+    """The camera whose automatic exposure ends with the frame's period. Raises OutOfRange for a longer one that is set.
+
+    rate: frames per second.
+    """
+    sensor, longest = camera.sensor, float(1 / rate)
+    if sensor.exposure_time is None:
+        automatic = sensor.auto_exposure
+        if automatic.longest is None or automatic.longest > longest:
+            sensor = replace(sensor, auto_exposure=replace(automatic, longest=longest))
+    elif sensor.exposure_time > longest:
+        raise OutOfRange("exposure time of a video", f"{sensor.exposure_time:.4g} s", f"up to the frame's period, "
+                         f"{longest:.4g} s at {float(rate):g} frames per second")
+    return replace(camera, sensor=sensor)
+
+
+def frames(simulator: Simulator, scenes: Scenes, segments: Iterable[list[int]], *, seed: int = 0,
+           output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
+    """The frames that are wanted of each segment, in order.
+
+    segments: of each the first frame, and then those that are wanted. output: of `Simulator.stream`; None: a Frame.
+    A camera that meters exposes each frame by the light of the one before, and the first by its own. ramps, loops: of
+    all frames that `scenes` has.
+    """
+    program, last = None, max(scenes.count - 1, 1)
+    meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
+    for first, *wanted in segments:
+        if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
+            program = program or simulator.program(next(scenes.between(0, 1)))
+            yield from (_made(program, number, seed, output) for number in wanted)
+            continue
+        lead = first - (meters and first > 0)
+        with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
+            for number, shown in enumerate(arriving, lead):
+                scene = ramps.scene(shown, number / last)
+                camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
+                operation = loops.operation(camera, number)
+                if number == lead or program is None:
+                    program = simulator.update(camera).program(scene, meters_late=meters, **operation)
+                else:
+                    other: dict[str, Any] = {} if camera is program.simulator.camera else {"camera": camera}
+                    program.update(scene=scene, **other, **operation)
+                made = _made(program, number, seed, output)  # unwanted, too, for what the next one takes of it
+                if number in wanted:
+                    yield made
+        if program is not None:
+            program.judge()
+
+
+def blurred_frames(simulator: Simulator, scenes: Moving, segments: Iterable[list[int]], *, seed: int = 0,
+                   output: str | None = None, ramps: Ramps = NO_RAMPS, loops: Loops = NO_LOOPS) -> Iterator[Made]:
+    """The same of a camera that moves while it exposes, in light that flickers; each frame meters its first view."""
+    last, still = max(scenes.count - 1, 1), simulator
+    for _, *wanted in segments:
+        for number in wanted:
+            scene: Any = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
+            if scenes.actors:
+                scene = Animation(scene, scenes.actors)
+            camera = loops.camera(ramps.camera(still.camera, number / last), number)
+            simulator = still if camera is still.camera else still.update(camera)
+            exposure = expose_motion(simulator, scene, scenes.motion, start=number * scenes.period,
+                                     flicker=scenes.flicker, **loops.operation(camera, number))
+            told = (exposure.plan.account.at(exposure.exposure_time), exposure.exposure_time, exposure.gain,
+                    exposure.plan.name)
+            if output is None:
+                yield Made(number, next(simulator.shoot(exposure, seed=seed, first=number)).complete(), *told)
+                continue
+            values = simulator.draw(exposure, seed=seed, frame=number)
+            if output != "raw":
+                values = simulator.codes(values, exposure) if output == "codes" else simulator.develop(
+                    values, exposure)[0]
+            yield Made(number, _on_host(simulator, values, output), *told)
+
+
+def _made(program, number, seed, output):
+    account, exposure = program.account, program.shots.exposure
+    told = account, exposure.exposure_time, exposure.gain, exposure.plan.name
+    if output is None:
+        return Made(number, program.frame(seed=seed, frame=number).complete(), *told)
+    values = program.output(output, seed=seed, frame=number)
+    return Made(number, _on_host(program.simulator, values, output), *told)
+
+
+def _on_host(simulator, values, output):
+    """A copy of an output; linear light (rows, cols, 3), as codes are."""
+    copied = np.array(simulator.device.numpy(values))
+    return np.moveaxis(copied, 0, -1) if output == "linear" else copied
+
+
+class NumberedFiles:
+    """A file for every frame, in the format of the path's suffix: `a.png` gives a_0000.png and so on.
+
+    made: `frames` or `blurred_frames`.
+    """
+
+    def __init__(self, path: Path, count: int, made: Callable = frames):
+        self._path, self._digits, self._made = path, max(4, len(str(count - 1))), made
+
+    @property
+    def words(self) -> str:
+        """What is written, for messages."""
+        return f"the files {self.name(0).name} ..."
+
+    def is_empty(self) -> bool:
+        """Whether nothing was written yet."""
+        return not any(self._path.parent.glob(f"{glob.escape(self._path.stem)}_*{self._path.suffix}"))
+
+    def name(self, number: int) -> Path:
+        """Of a frame."""
+        return self._path.with_name(f"{self._path.stem}_{number:0{self._digits}d}{self._path.suffix}")
+
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
+              loops: Loops = NO_LOOPS) -> Iterator[Made]:
+        """Write what is missing of the segments; gives every frame that was written. Raises as `Frame.save` does."""
+        missing = [[segment.start, *(number for number in segment if not self.name(number).exists())]
+                   for segment in segments]
+        made = self._made(simulator, scenes, [segment for segment in missing if len(segment) > 1], seed=seed,
+                          loops=loops)
+        workers = os.cpu_count() or 1
+        with ThreadPoolExecutor(workers) as pool, closing(ahead(made, COMPUTED)) as computed:
+            writing: dict = {}
+            for one in computed:
+                writing[pool.submit(one.values.save, self.name(one.number))] = one
+                while len(writing) > workers:
+                    yield from _written(writing, wait(writing, return_when=FIRST_COMPLETED).done)
+            yield from _written(writing, wait(writing).done)
+
+
+def _written(writing, done):
+    for task in sorted(done, key=lambda task: writing[task].number):
+        one = writing.pop(task)
+        task.result()  # raises what was wrong
+        yield one
+
+
+class EncodedFile:
+    """A file of all frames, made of a file for each segment, in a folder beside it until all are there.
+
+    made: `frames` or `blurred_frames`.
+    """
+
+    def __init__(self, path: Path, codec: Codec, encoder: Encoder, segments: list[range], made: Callable = frames):
+        self.path, self._codec, self._encoder, self._segments, self._made = path, codec, encoder, segments, made
+        self.folder = path.with_name(path.name + PARTS)
+
+    @property
+    def words(self) -> str:
+        """What is written, for messages."""
+        return f"the folder {self.folder}"
+
+    @property
+    def told(self) -> str:
+        """What there is when all is done, for messages."""
+        return str(self.path)
+
+    def is_empty(self) -> bool:
+        """Whether nothing was written yet."""
+        return not any(self.folder.glob(f"*{PART}"))
+
+    def part(self, segment: range) -> Path:
+        """The file of a segment."""
+        return self.folder / f"{segment.start:08d}{PART}"
+
+    def write(self, simulator: Simulator, scenes: Scenes, segments: list[range], seed: int = 0,
+              loops: Loops = NO_LOOPS) -> Iterator[Made]:
+        """Encode those of these segments that are missing; gives every frame that was. Raises BadFile."""
+        missing = [segment for segment in segments if not self.part(segment).exists()]
+        made = self._made(simulator, scenes, [[segment.start, *segment] for segment in missing], seed=seed,
+                          output=self._codec.output, loops=loops)
+        with closing(ahead(made, COMPUTED)) as computed:
+            for segment in missing:
+                yield from self._encoded(segment, computed)
+
+    def _encoded(self, segment, computed):
+        """Encode a segment; gives each of its frames when it was taken."""
+        taken: list[Made] = []
+
+        def values():
+            for one in islice(computed, len(segment)):
+                taken.append(replace(one, values=None))
+                yield one.values
+
+        for number in self._encoder.segment(self.part(segment), values()):
+            yield taken[number]
+
+    def finish(self) -> bool:
+        """Join the segments where all are there, and remove them. Returns whether they were."""
+        parts = [(segment.start, self.part(segment)) for segment in self._segments]
+        if not all(part.exists() for _, part in parts):
+            return False
+        self._encoder.join(self.path, parts)
+        self._emptied()
+        return True
+
+    def _emptied(self):
+        """Remove the segments."""
+        for path in self.folder.iterdir():
+            path.unlink()
+        self.folder.rmdir()

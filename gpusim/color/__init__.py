@@ -1,0 +1,1 @@
+"""Color: matrices, rendering, white balance, encoding, shading."""

@@ -1,0 +1,128 @@
+"""Estimates of the light from the camera's picture: what a perfect white would read in it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.color.color import TransformSet
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+
+ESTIMATES = ("gray-world", "max-rgb", "shades-of-gray", "red-blue")
+MINKOWSKI = 6  # the exponent that Finlayson & Trezzi found best
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteEstimate:
+    """What white reads in a picture: `white`, largest entry 1, shape (C,). model: how it was found, in words."""
+
+    white: np.ndarray
+    model: str
+
+
+def estimate_white(thumbnail, method: str, transforms: TransformSet | None = None, *,
+                   floor: float = 0.0) -> WhiteEstimate:
+    """Estimate the camera's response to white from block means of its picture.
+
+    thumbnail: shape (C, rows, cols), as `processor.thumbnail` makes; blocks that are not finite are left out.
+    method: "gray-world": the mean of the scene is neutral (Buchsbaum 1980, J. Franklin Institute 310, 1-26).
+        "max-rgb": the largest responses of all channels are white's (Land 1977, Scientific American 237, 108-128).
+        "shades-of-gray": between the two, the Minkowski mean of exponent 6 is neutral (Finlayson & Trezzi 2004, Color
+            Imaging Conference 12, 37-41).
+        "red-blue": the light, of those of `transforms`, in which the training surfaces' red and blue responses
+            fill an area that correlates best with the picture's: overlap / sqrt(product). Areas are hulls of the
+            responses and black; both are scaled so that their brightest colour, the root of the sum of squares over
+            the channels, is 1 (Tominaga & Wandell 2002, Proc. IEEE 90, 42-56). Any channels, with R and B among them.
+    floor: mean response that counts as darkness, the read noise say [camera value].
+    A picture without an estimate is taken as lit by the target light of `transforms`, or, without these, as balanced
+    already; `model` says so and why.
+    Raises BadData (shape, missing transforms or channels), OutOfRange (floor), UnknownName.
+    """
+    if method not in ESTIMATES:
+        raise UnknownName("white balance estimate", method, ESTIMATES)
+    if not floor >= 0:
+        raise OutOfRange("floor", floor, "floor >= 0")
+    thumbnail = np.asarray(thumbnail, np.float64)
+    if thumbnail.ndim != 3 or not thumbnail.size:
+        raise BadData(f"thumbnail of shape {thumbnail.shape}: wanted (channels, rows, cols)")
+    if transforms is not None and len(transforms.target_white) != len(thumbnail):
+        raise BadData(f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}")
+    pair = _red_and_blue(transforms) if method == "red-blue" else None
+    blocks = thumbnail[:, np.isfinite(thumbnail).all(0)]
+    if not blocks.size:
+        return _assumed(transforms, len(thumbnail), "every block is clipped")
+    if not (blocks.mean(1) > floor).all():
+        return _assumed(transforms, len(thumbnail), "a channel is dark")
+    if pair:
+        return _by_red_and_blue(blocks, transforms, pair)
+    means = blocks.mean(1) if method == "gray-world" else _minkowski(
+        np.maximum(blocks, 0), np.inf if method == "max-rgb" else MINKOWSKI)
+    return WhiteEstimate(means / means.max(), f"{method} of {blocks.shape[1]} blocks")
+
+
+def _assumed(transforms, channels, reason):
+    if transforms is None:
+        return WhiteEstimate(np.ones(channels), f"not estimated, {reason}: as if balanced already")
+    return WhiteEstimate(transforms.target_white, f"not estimated, {reason}: as if in the target light")
+
+
+def _minkowski(blocks, exponent):
+    """Generalised mean of each row (C, N) >= 0."""
+    peak = blocks.max()  # powers neither overflow nor underflow
+    return (peak * np.mean((blocks / peak) ** exponent, 1) ** (1 / exponent) if np.isfinite(exponent)
+            else blocks.max(1))
+
+
+def _red_and_blue(transforms):
+    """Indices of the channels R and B."""
+    if transforms is None:
+        raise BadData("white balance 'red-blue' compares the picture with lights: give it their transforms")
+    letters = list(transforms.channels)
+    if not {"R", "B"} <= {*letters}:
+        raise BadData(f"white balance 'red-blue' needs channels R and B; the transforms name "
+                      f"{', '.join(letters) or 'none'}; use another method")
+    return [letters.index("R"), letters.index("B")]
+
+
+def _by_red_and_blue(blocks, transforms, pair):
+    """The light whose area in the (R, B) plane correlates best with that of the blocks (C, N)."""
+    picture = _hull(blocks, pair)
+    if picture is None:
+        return _assumed(transforms, len(blocks), "there is one color alone")
+    areas = [_hull(surfaces, pair) for surfaces in transforms.responses]
+    correlations = [0.0 if area is None else _area(_overlap(picture, area)) / np.sqrt(_area(picture) * _area(area))
+                    for area in areas]
+    best = int(np.argmax(correlations))
+    return WhiteEstimate(transforms.transforms[best].white,
+                         f"red-blue correlation {correlations[best]:.2f} with {transforms.names[best]}")
+
+
+def _hull(colors, pair):
+    """Hull, counterclockwise, of black and the pair's responses (C, N), scaled to brightest = 1; None if of no area."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = np.vstack([np.zeros(2), (colors / np.linalg.norm(colors, axis=0).max())[pair].T])
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return None
+
+
+def _overlap(polygon, clip):
+    """Intersection of two convex polygons, counterclockwise (Sutherland & Hodgman 1974, Comm. ACM 17, 32-42)."""
+    for begin, end in zip(clip, np.roll(clip, -1, 0), strict=True):
+        edge, kept = end - begin, []
+        sides = edge[0] * (polygon[:, 1] - begin[1]) - edge[1] * (polygon[:, 0] - begin[0])  # >= 0: inside
+        for i in range(len(polygon)):
+            if (sides[i] >= 0) != (sides[i - 1] >= 0):
+                kept.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * sides[i - 1] / (sides[i - 1] - sides[i]))
+            if sides[i] >= 0:
+                kept.append(polygon[i])
+        if not kept:
+            return np.zeros((0, 2))
+        polygon = np.array(kept)
+    return polygon
+
+
+def _area(polygon):
+    x, y = polygon.T
+    return (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2

@@ -1,0 +1,312 @@
+"""From camera channels to display colours: the matrix that a known light, camera and set of surfaces call for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.data.colorimetry import BRADFORD, adaptation, cmf
+from gpusim.data.lights import illuminant
+from gpusim.data.reflectances import reflectances as measured
+from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
+from gpusim.optics.weights import product_weights
+
+METHODS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal")
+
+# Of white in the strongest channel, weighed against colour errors where more than three channels leave a choice. At
+# 1e5 electrons shot noise is a third of the colour error of a good camera: it bars the matrices that gain a fraction of
+# that error as a small difference of large responses (clear against red + green + blue: 5 times the noise).
+WHITE_ELECTRONS = 1e5
+
+EXCELLENT_SNR = 40.0  # signal to noise of the first picture that ISO 12232 calls excellent
+
+# Even on the scale of reciprocal temperature, as differences of colour are (Tominaga & Wandell 2002): 25 MK-1 apart.
+# Then lamps off that line: halophosphate and three-band fluorescent, a white diode.
+LIGHTS = ("blackbody-2500K", "blackbody-2667K", "A", "blackbody-3077K", "blackbody-3333K", "blackbody-3636K",
+          "daylight-4000K", "daylight-4444K", "daylight-5000K", "daylight-5714K", "D65", "daylight-8000K",
+          "daylight-10000K", "FL2", "FL11", "LED-B3")
+REACH = 2.0  # how far around a white transforms are mixed, in distances to the second nearest node
+
+
+@dataclass(frozen=True, eq=False)
+class ColorTransform:
+    """Linear maps from camera responses that are normalised so that perfect white has 1 in its strongest channel.
+
+    matrix: to linear display RGB, white = (1, 1, 1), about where the method does not keep white; shape (3, C).
+    xyz: to the XYZ of the surfaces in the target light, white Y = 1; shape (3, C).
+    white: response to perfect white in the scene's light, largest entry 1; shape (C,). As the `ceiling` of
+        processor.color, times what saturation is in units of white, it keeps blown-out highlights neutral.
+    """
+
+    matrix: np.ndarray
+    xyz: np.ndarray
+    white: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Training:
+    """Responses of camera (C, N) and eye (3, N) to surfaces in their lights, and to white: largest entry, and Y, 1."""
+
+    camera: np.ndarray
+    xyz: np.ndarray
+    camera_white: np.ndarray
+    xyz_white: np.ndarray
+
+
+def color_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | str, *,
+                 method: str = "white-preserving", target_light: Spectrum | str = "D65",
+                 display: Display = DISPLAYS["srgb"], snr: float = EXCELLENT_SNR,
+                 channels="RGB") -> ColorTransform:
+    """Find the colour transform of a camera that sees surfaces in `light` and shows them as if in `target_light`.
+
+    qe: quantum efficiency of the C channels [e-/photon], shape (C, L) or (L,), infrared filter included.
+    light, target_light: photon radiance, any scale, shape (L,), or the name of an illuminant.
+    reflectances: the training surfaces [1], shape (N, L), or the name of a set. Their wavelengths bound the integrals.
+    method: all but "diagonal" minimise an error of the training surfaces' XYZ in the target light:
+        "white-preserving": squared, among the matrices that map white exactly to the target's white (Finlayson & Drew
+            1997, Color Research and Application 22, 2-15).
+        "pseudo-inverse": squared, L = (H' diag(d1) S) [C' diag(d2) S]^-1; white is met as nearly as others.
+        "ridge": squared, expected under the shot noise of every surface: see `snr`. White and all colours come out
+            smaller, the less light the more.
+        "cielab": mean CIELAB difference, white exact, by search from "white-preserving" on.
+        "fixed-diagonal": L = D F. F is the white-preserving matrix for the target light; D, for the scene's, scales the
+            cone-like responses (Bradford) that F leads to so that white is exact: von Kries's rule behind a matrix.
+        "diagonal": channels R, G, B are shown as the display's primaries, each scaled so that white is exact. This
+            leaves no choice, and crosstalk of the filters as it is. Other channels are not used.
+    display: the white that the target's is adapted to (Bradford), and primaries.
+    snr: "ridge" alone: signal to noise ratio of white in the strongest channel [1], that is snr^2 electrons.
+    channels: "diagonal" alone: a letter for each channel, in the order of `qe`.
+    Of more than three channels, some are nearly a mixture of others (a clear pixel of red, green and blue), and the
+    error of colour alone would be bought with noise many times amplified; there "white-preserving" and "cielab" count
+    the expected error of shot noise (WHITE_ELECTRONS) as well. "pseudo-inverse" never does.
+    Raises BadData when wavelengths do not overlap, the surfaces do not determine the matrix or the channels are not
+    those that the method needs; UnknownName (method, light, set); OutOfRange (snr).
+    Source: Farrell & Wandell, section 6.2 and Figure 11.
+    """
+    if method not in METHODS:
+        raise UnknownName("color matrix method", method, METHODS)
+    if not snr > 0:
+        raise OutOfRange("snr", snr, "snr > 0")
+    nodes, surfaces = _surfaces(reflectances)
+    eye = product_weights(nodes, cmf(), energy_from_photons(_photons(target_light)))
+    seen = _training(nodes, surfaces, qe, _photons(light), eye)
+    adapt = adaptation(seen.xyz_white, display.xyz_from_rgb.sum(1))
+    if method == "diagonal":
+        matrix = _channels_as_primaries(seen.camera_white, channels)
+        return ColorTransform(matrix, np.linalg.solve(adapt, display.xyz_from_rgb @ matrix), seen.camera_white)
+    if method == "fixed-diagonal":
+        fixed = _white_preserving(_determined(_training(nodes, surfaces, qe, _photons(target_light), eye)))
+        shown = fixed @ seen.camera_white
+        if not (BRADFORD @ shown > 0).all():
+            raise BadData(f"color matrix: the matrix for {_name(target_light)} takes white in {_name(light)} to XYZ "
+                          f"{np.round(shown, 4).tolist()}, no colour that can be scaled to white")
+        to_xyz = adaptation(shown, seen.xyz_white) @ fixed
+    else:
+        fit = {"white-preserving": _white_preserving, "cielab": _least_in_cielab,
+               "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
+               "ridge": lambda of: _least_squares(of.camera, of.xyz, of.camera.sum(1) / snr**2)}[method]
+        to_xyz = fit(_determined(seen))
+    return ColorTransform(display.rgb_from_xyz @ adapt @ to_xyz, to_xyz, seen.camera_white)
+
+
+def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | str) -> np.ndarray:
+    """Matrix (C, 3) from the XYZ of surfaces in `light` to the camera's responses, white (Y = 1) to white (largest 1).
+
+    Of three channels the inverse of the white-preserving `color_matrix` with the light itself as target; of more the
+    least squares of the responses that keep white. Arguments as there. Raises BadData, UnknownName.
+    """
+    nodes, surfaces = _surfaces(reflectances)
+    photons = _photons(light)
+    seen = _training(nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons)))
+    if len(seen.camera) == 3:
+        return np.linalg.inv(_white_preserving(_determined(seen)))
+    return _white_preserving(_Training(seen.xyz, seen.camera, seen.xyz_white, seen.camera_white))
+
+
+def _photons(light):
+    return photons_from_energy(illuminant(light)) if isinstance(light, str) else light
+
+
+def _name(light):
+    return light if isinstance(light, str) else light.name or "a light"
+
+
+def _surfaces(reflectances):
+    """Wavelengths [nm] and values (N, L) of training surfaces."""
+    chosen = measured(reflectances) if isinstance(reflectances, str) else reflectances
+    return chosen.wavelengths, np.atleast_2d(chosen.values)
+
+
+def _training(nodes, surfaces, qe, light, eye):
+    """What the camera sees in `light`, and the eye of weights `eye` (3, L) in its own."""
+    weights = np.atleast_2d(product_weights(nodes, qe, light))
+    camera_white, xyz_white = weights.sum(1), eye.sum(1)
+    if not (camera_white > 0).all() or not xyz_white[1] > 0:
+        raise BadData(f"color matrix: a channel, or the eye, sees nothing of the light in {nodes[0]:g} .. "
+                      f"{nodes[-1]:g} nm")
+    return _Training(weights @ surfaces.T / camera_white.max(), eye @ surfaces.T / xyz_white[1],
+                     camera_white / camera_white.max(), xyz_white / xyz_white[1])
+
+
+def _determined(of):
+    """The training itself; raises BadData where it leaves the matrix open."""
+    channels, count = of.camera.shape
+    if count < channels:
+        raise BadData(f"color matrix: {count} training reflectances cannot determine {channels} channels")
+    rank = np.linalg.matrix_rank(of.camera)
+    if rank < channels:
+        raise BadData(f"color matrix: the camera's responses to the {count} training reflectances span only {rank} of "
+                      f"{channels} dimensions")
+    return of
+
+
+def _least_squares(camera, xyz, variance):
+    """Return the (3, C) matrix M that takes `camera` (C, N) nearest to `xyz` (3, N), noise included.
+
+    Noise whose `variance` (C,) is summed over the N surfaces adds tr(M diag(variance) M') to the expected square of
+    their errors: as C more columns of `camera` that should come out as 0, it is part of the same least squares.
+    """
+    noise = np.diag(np.broadcast_to(np.sqrt(variance), len(camera)))
+    camera, xyz = np.hstack([camera, noise]), np.hstack([xyz, np.zeros((len(xyz), len(noise)))])
+    return np.linalg.lstsq(camera.T, xyz.T, rcond=None)[0].T
+
+
+def _white_kept(of):
+    """One matrix (3, C) that maps white to white, and the directions (C, C - 1) that white has no part in."""
+    white = of.camera_white
+    return np.outer(of.xyz_white, white) / (white @ white), np.linalg.qr(white[:, None], mode="complete")[0][:, 1:]
+
+
+def _white_preserving(of):
+    """Least squares among the matrices that map white to white; noise of white's variance counts if C > 3."""
+    fixed, free = _white_kept(of)
+    camera, missing = of.camera, of.xyz - fixed @ of.camera
+    if len(camera) > 3:
+        noise = np.diag(np.sqrt(camera.shape[1] * of.camera_white / WHITE_ELECTRONS))
+        camera, missing = np.hstack([camera, noise]), np.hstack([missing, -fixed @ noise])
+    return fixed + _least_squares(free.T @ camera, missing, 0.0) @ free.T
+
+
+def _least_in_cielab(of):
+    """Search for the least mean CIELAB difference of the surfaces among the matrices that map white to white.
+
+    Difference: sqrt((Delta E*ab 1976)^2 + its variance by each surface's shot noise, if C > 3).
+    """
+    from scipy.optimize import minimize
+
+    start, free = _white_preserving(of), _white_kept(of)[1]
+    wanted, white = _lab(of.xyz, of.xyz_white), of.xyz_white[:, None]
+    slopes = _lab_slopes(of.xyz, white)
+
+    def matrix(steps):
+        return start + steps.reshape(3, -1) @ free.T
+
+    def difference(steps, smooth=0.0):
+        squares = ((_lab(matrix(steps) @ of.camera, of.xyz_white) - wanted) ** 2).sum(0)
+        if len(of.camera) > 3:
+            noise = np.einsum("lxn,xc->lcn", slopes, matrix(steps)) ** 2
+            squares += np.einsum("lcn,cn->n", noise, of.camera) / WHITE_ELECTRONS
+        return np.sqrt(squares + smooth**2).mean()
+
+    # The root has a corner at 0, where searches by gradients stall: rounded far below what an eye sees.
+    steps = minimize(difference, np.zeros(free.shape[1] * 3), args=(1e-2,), method="BFGS").x
+    return matrix(steps) if difference(steps) < difference(np.zeros_like(steps)) else start
+
+
+def _lab(xyz, white):
+    """CIELAB of XYZ (3, N), linear near black and below. Source: CIE 15:2018, section 8.2.1."""
+    ratio = xyz / white[:, None]
+    x, y, z = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def _lab_slopes(xyz, white):
+    """Derivatives of CIELAB by X, Y and Z, (3, 3, N)."""
+    ratio = xyz / white
+    slopes = np.where(ratio > (6 / 29) ** 3, np.cbrt(np.maximum(ratio, 1e-9)) ** -2, (29 / 6) ** 2) / 3 / white
+    return np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]])[:, :, None] * slopes
+
+
+def _channels_as_primaries(white, letters):
+    """Matrix (3, C) that shows channels R, G and B as primaries, white as (1, 1, 1)."""
+    letters = list(letters)
+    if len(letters) != len(white) or any(letters.count(letter) != 1 for letter in "RGB"):
+        raise BadData(f"color matrix: method 'diagonal' needs channels R, G and B, each named once; got "
+                      f"{''.join(letters)!r} for {len(white)} channel(s); use another method")
+    chosen = [letters.index(letter) for letter in "RGB"]
+    return np.eye(len(white))[chosen] / white
+
+
+@dataclass(frozen=True, eq=False)
+class TransformSet:
+    """Colour transforms of a set of lights, computed once; looked up by the camera's white.
+
+    names: of the K lights. channels: a letter for each channel, where known. transforms: of each light.
+    responses: of the camera to the N training surfaces in each light, in units of white's strongest channel, (K, C, N).
+    target_white: response to white in the target light, largest entry 1, shape (C,).
+    """
+
+    names: tuple[str, ...]
+    channels: tuple[str, ...]
+    transforms: tuple[ColorTransform, ...]
+    responses: np.ndarray
+    target_white: np.ndarray
+
+    @property
+    def whites(self) -> np.ndarray:
+        """Responses to white in each light, largest entry 1, shape (K, C)."""
+        return np.stack([transform.white for transform in self.transforms])
+
+    def at(self, white) -> ColorTransform:
+        """The transform for a camera white: a light's own where it is that light's, else a mixture of the nearest.
+
+        white: response to white, any scale, shape (C,). Transforms behind white balance, M diag(white), are mixed, so
+        that this very white is shown as display white (if the method keeps white). Weights are 1/d - 1/r for distances
+        d below r in log chromaticity, r being REACH distances to the second nearest: between two neighbours on a line
+        of lights almost these two alone; continuous everywhere (a local form of Shepard 1968, Proc. ACM, 517-524).
+        Raises BadData for a white of the wrong shape or not positive.
+        """
+        white, whites = np.asarray(white, np.float64), self.whites
+        if white.shape != whites.shape[1:] or not (np.isfinite(white).all() and (white > 0).all()):
+            raise BadData(f"white {white.tolist()}: wanted {whites.shape[1]} positive numbers")
+        white = white / white.max()
+        distances = np.linalg.norm(_chromaticity(white) - _chromaticity(whites), axis=1)
+        nearest = distances.argmin()
+        if distances[nearest] == 0 or len(distances) == 1:
+            mixture = np.eye(len(distances))[nearest]
+        else:
+            mixture = np.maximum(1 / distances - 1 / (REACH * np.partition(distances, 1)[1]), 0)
+            mixture /= mixture.sum()
+        gains = whites / white
+        matrix, xyz = (np.einsum("k,kpc,kc->pc", mixture, np.stack([getattr(transform, part) for transform in
+                                                                    self.transforms]), gains)
+                       for part in ("matrix", "xyz"))
+        return ColorTransform(matrix, xyz, white)
+
+
+def transform_set(qe: Spectrum, reflectances: Spectrum | str, lights=LIGHTS, *, channels=(), **options) -> TransformSet:
+    """Compute the transforms of a set of lights in advance.
+
+    lights: names or photon radiances. channels: a letter for each channel; "diagonal" here, and estimates of the light
+    that look at certain channels, need them. qe, reflectances, options: as for `color_matrix`, which raises.
+    Raises BadData without lights too.
+    Source: Farrell & Wandell, section 6.2 and Figure 12.
+    """
+    if not len(lights):
+        raise BadData("transform set: no lights")
+    named = {"channels": channels} if channels else {}
+    transforms = tuple(color_matrix(qe, light, reflectances, **named, **options) for light in lights)
+    nodes, surfaces = _surfaces(reflectances)
+    weights = [np.atleast_2d(product_weights(nodes, qe, _photons(light)))
+               for light in (*lights, options.get("target_light", "D65"))]
+    responses = np.stack([w @ surfaces.T / w.sum(1).max() for w in weights[:-1]])
+    white = weights[-1].sum(1)
+    return TransformSet(tuple(_name(light) for light in lights), tuple(channels), transforms, responses,
+                        white / white.max())
+
+
+def _chromaticity(white):
+    """Logarithms of responses (..., C), from which brightness is taken away."""
+    logs = np.log(white)
+    return logs - logs.mean(-1, keepdims=True)

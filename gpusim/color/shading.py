@@ -1,0 +1,117 @@
+"""Gains that undo what a lens and a sensor lose toward the corner."""
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.optics.geometry import relative_illumination
+from gpusim.planner.plan import Plan
+
+NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # tried one after the other, each way
+INTERPOLATION = 2e-4  # relative error of the gains between nodes, at most
+
+
+def relative_response(plan: Plan) -> np.ndarray:
+    """What a flat scene gives at every pixel over that on the axis, float64 (rows, cols).
+
+    Relative illumination, microlenses, the sensor's vignetting, and how much a distortion spreads the light.
+    """
+    response = np.ones(plan.scene.shape)
+    if plan.slope:
+        response *= relative_illumination("cos4", plan.scene.shape, plan.slope, 1.0)
+    if plan.falloff is not None:
+        response *= plan.falloff
+    if plan.distortion is not None:
+        flux = plan.distortion.nodes[..., 2]
+        along_y, along_x = map(_cubics, flux.shape, plan.scene.shape)
+        response *= along_y @ flux @ along_x.T
+    return response
+
+
+def shading_gains(response, channels: int, most: float = 8.0) -> np.ndarray:
+    """Gains for `processor.shade` that make a flat scene flat, float64 (channels, ny, nx), the smallest one 1.
+
+    response: of every pixel to a flat scene, shape (rows, cols), or of every channel at every pixel, shape
+    (channels, rows, cols) [any unit, one for each channel: its largest value is not changed]. most: largest gain; where
+    more were needed, a flat scene stays darker [1]. The fewest nodes are taken between which gains err by at most
+    INTERPOLATION, or as many as there are in NODES. Raises BadData, OutOfRange.
+    """
+    response = _checked(response, most)
+    if response.shape[:-2] not in ((), (channels,)):
+        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) or ({channels}, rows, "
+                      "cols)")
+    maps = response.reshape(-1, *response.shape[-2:])
+    with np.errstate(divide="ignore"):
+        maps = np.minimum(maps.max(axis=(1, 2), keepdims=True) / maps, most)
+    nodes = _nodes([(map_, (0, 0)) for map_ in maps], (1, 1), maps.shape[1:])
+    return np.broadcast_to(nodes, (channels, *nodes.shape[1:])).copy()
+
+
+def phase_gains(response, period, most: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
+    """Gains that make a flat scene flat where the pixels of a mosaic do not lie on an even grid, as those of binning.
+
+    response: what a flat scene gives at every pixel of the output, binned as charge or numbers are, shape (rows, cols)
+    [any unit]. period: rows and columns of the output's mosaic. most: see `shading_gains`.
+    Pixels of one phase of the mosaic are evenly spaced, so each phase counts as a channel; all have one scale.
+    Returns the gains, float64 (period_y period_x, ny, nx), the smallest one 1, and the mosaic of phases that
+    `processor.shade` is to take for the CFA, int32 (period_y, period_x). Raises BadData, OutOfRange.
+    """
+    response, (down, right) = _checked(response, most), period
+    if response.ndim != 2 or response.shape[0] < down or response.shape[1] < right:
+        raise BadData(f"response to a flat scene: shape {response.shape}, wanted (rows, cols) of at least one period "
+                      f"of the mosaic, {down} x {right}")
+    with np.errstate(divide="ignore"):
+        gains = np.minimum(response.max() / response, most)
+    maps = [(gains[y::down, x::right], (y, x)) for y in range(down) for x in range(right)]
+    return _nodes(maps, (down, right), response.shape), np.arange(len(maps), dtype=np.int32).reshape(down, right)
+
+
+def _checked(response, most):
+    response = np.asarray(response, np.float64)
+    if not (np.isfinite(response).all() and response.min() >= 0 and response.max() > 0):
+        raise OutOfRange("response to a flat scene", f"{response.min():.6g} .. {response.max():.6g}",
+                         "0 <= response < inf, and not 0 everywhere")
+    if not 1 <= most <= 1e4:
+        raise OutOfRange("largest gain", most, "1 <= gain <= 1e4")
+    return response
+
+
+def _nodes(maps, steps, shape):
+    """Gains at nodes over a frame of `shape`, (maps, ny, nx); maps: (gains, pixel of the first), `steps` apart."""
+    for count in NODES:
+        places = [np.linspace(0, size, max(min(count, size + 1), 2)) - 0.5 for size in shape]
+        nodes = np.stack([_at(_at(map_, *along[0]).T, *along[1]).T for map_, first in maps
+                          for along in [[((place - start) / step, size) for place, start, step, size
+                                         in zip(places, first, steps, map_.shape, strict=True)]]])
+        error = 0.0
+        for made, (map_, first) in zip(nodes, maps, strict=True):
+            back = [_hats(len(place), size)[start::step]
+                    for place, size, start, step in zip(places, shape, first, steps, strict=True)]
+            error = max(error, np.abs(back[0] @ made @ back[1].T / map_ - 1).max())
+        if error <= INTERPOLATION:
+            break
+    return nodes
+
+
+def _at(values, places, pixels):
+    """Values along the first axis at `places`: linear between pixels, and on beyond the outermost."""
+    if pixels == 1:
+        return np.repeat(values, len(places), axis=0)
+    first = np.clip(np.floor(places).astype(int), 0, pixels - 2)
+    part = (places - first)[:, None]
+    return np.maximum((1 - part) * values[first] + part * values[first + 1], 0)
+
+
+def _cubics(count, pixels):
+    """Weight of each of `count` nodes at each pixel, of the polynomials of `optics.distort`, shape (pixels, count)."""
+    place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
+    first = np.clip(place.astype(int) - 1, 0, count - 4)
+    weights = np.zeros((pixels, count))
+    for a in range(4):
+        weights[np.arange(pixels), first + a] = np.prod([(place - first - b) / (a - b) for b in range(4) if b != a], 0)
+    return weights
+
+
+def _hats(count, pixels):
+    """Weight of each of `count` nodes at each pixel, shape (pixels, count)."""
+    place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0)

@@ -1,0 +1,1 @@
+"""Readers of cameras: camera files, calibrations, profiles, point spreads."""

@@ -1,0 +1,370 @@
+"""Cameras: the built-in ones, and camera files (TOML), whose keys are those of `camera_keys`."""
+
+import dataclasses
+import os
+import re
+import tomllib
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.data.curves import CHANNELS, curve
+from gpusim.data.displays import display_names, open_display
+from gpusim.data.lights import illuminant
+from gpusim.data.reflectances import reflectances
+from gpusim.domain.calibration import Calibration
+from gpusim.domain.camera import Camera
+from gpusim.domain.camera_keys import MICRO, SECTIONS, key_spoken_of, section_fields
+from gpusim.domain.display import Display
+from gpusim.domain.errors import (
+    LONGEST_VALUE,
+    BadData,
+    BadFile,
+    DoesNotFit,
+    GpusimError,
+    OutOfRange,
+    UnknownName,
+    near,
+    one_line,
+    shown,
+)
+from gpusim.domain.noise import Noise, reset_noise
+from gpusim.domain.optics import Optics
+from gpusim.domain.processor import Processor
+from gpusim.domain.pupil import Wavefront
+from gpusim.domain.sensor import Sensor
+from gpusim.domain.spectrum import Spectrum
+from gpusim.io.camera.calibration import read_calibration
+from gpusim.io.camera.learned import read_table
+from gpusim.io.camera.noise_profile import read_noise_profile
+from gpusim.io.camera.psf import read_psf
+from gpusim.io.files import named, read_cells, read_text, reading
+
+_FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
+BASE = "phone"  # what an empty file is
+DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] of which there is one
+LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
+LONGEST_INTEGER = 2**64  # of a camera file's whole numbers: seeds are below it
+# A key of more than 16 parts, a.b.c ...: tomllib takes a time that grows with the square of their number.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""", re.ASCII)
+_KEY = re.compile(r"\[(\w+)\] (\w+)")  # in an error of a camera file
+
+
+def camera_names() -> list[str]:
+    """Names of the built-in cameras, sorted."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def open_camera(name_or_path) -> Camera:
+    """Open a built-in camera by its name, or a camera file (TOML).
+
+    A file's keys are the fields of Optics, Sensor, Processor and Display; a key that has a unit ends in it, such as
+    `pixel_pitch_um`. With `base`, a built-in camera's name or a file beside it, all keys that it does not have are
+    those of that camera; an empty file is the camera BASE. Raises BadFile, naming file and key, and UnknownName for a
+    name that is neither.
+    """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise BadData(f"camera: {type(name_or_path).__name__}, wanted a name or a file's path")
+    path, table = camera_table(name_or_path)
+    try:
+        return camera_of(path, table)
+    except BadFile as error:
+        key = _KEY.search(error.details)
+        where = key and next((file for file, own in _chain(name_or_path) if isinstance(own.get(key[1]), dict)
+                              and key[2] in own[key[1]]), path)
+        if where is None or where == path:
+            raise
+        raise BadFile(path, f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})") from error
+
+
+def camera_table(name_or_path) -> tuple[Path, dict]:
+    """A camera's file, and its keys, with those of its base. Raises as `open_camera`."""
+    (path, table), *bases = _chain(name_or_path)
+    name = table.pop("name", path.stem)
+    for file, below in bases:
+        table = _over(anchored(file, below), table)
+    return path, {**table, "name": name}
+
+
+def _chain(name_or_path):
+    """A camera's file, and those that it is based on, one on the other, each with the keys that it has itself."""
+    path, table = _file_table(name_or_path)
+    files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
+    yield path, table
+    while base is not None:
+        place = base if base in camera_names() else files[-1].parent / base if type(base) is str else None
+        if place is None:
+            raise BadFile(files[-1], f"base = {shown(base)}: wanted a camera's name or file")
+        if type(place) is not str and not os.path.exists(place):
+            raise BadFile(files[-1], f"base = {shown(base)}: no such camera or file; cameras are "
+                                     f"{', '.join(camera_names())}")
+        path, table = _file_table(place)
+        if path.resolve() in files:
+            raise BadFile(files[-1], f"base = {shown(base)}: is based on this file itself")
+        files.append(path.resolve())
+        base = table.pop("base", None)
+        yield path, table
+
+
+def anchored(path: Path, table: dict) -> dict:
+    """A table whose files, beside the camera's file `path`, are named from anywhere."""
+    return {section: {key: str((path.parent / value).resolve()) if _is_file(path, value) else value
+                      for key, value in keys.items()} if isinstance(keys, dict) else keys
+            for section, keys in table.items()}
+
+
+def _is_file(path, value):
+    return isinstance(value, str) and Path(value).suffix and os.path.isfile(path.parent / value)
+
+
+def _over(below, table):
+    """The keys of a table over those of the camera that it is based on, section by section."""
+    merged = {section: dict(keys) if isinstance(keys, dict) else keys for section, keys in below.items()}
+    for section, keys in table.items():
+        if isinstance(keys, dict) and isinstance(merged.get(section), dict):
+            for one, other in (DEFOCUS, DEFOCUS[::-1]):
+                if section == "optics" and one in keys:
+                    merged[section].pop(other, None)
+            merged[section] |= keys
+        else:
+            merged[section] = keys
+    return merged
+
+
+def _file_table(name_or_path):
+    """A camera's file, and its keys as they are written there."""
+    if name_or_path in camera_names():
+        path = _FOLDER / f"{name_or_path}.toml"
+    else:
+        path = Path(name_or_path)
+        if path.suffix != ".toml" and not os.path.exists(path):  # Path.exists raises for a name that is too long
+            raise UnknownName("camera", str(name_or_path), camera_names())
+    text = read_text(path, "TOML")
+    deep = _DEEP_KEY.search(text)
+    if deep:
+        line = text.count("\n", 0, deep.start()) + 1
+        raise BadFile(path, f"not TOML of a camera: line {line} has a key of more than 16 parts")
+    with reading(path, "TOML"):
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:  # it says the line
+            raise BadFile(path, f"not TOML: {error}") from None
+        _require_short_integers(path, table)
+    return path, table
+
+
+def camera_of(path: Path, table: dict) -> Camera:
+    """The camera of a file's keys, or of changed ones. path: its file, which errors name. Raises as `open_camera`."""
+    with named(path):  # the domain's own checks know a field but not the file, and not the key in its unit
+        try:
+            return _camera(path, dict(table))
+        except (BadData, OutOfRange, UnknownName) as error:
+            key = key_spoken_of(table, error.details)
+            raise BadFile(path, f"{key}: {error.details}") if key else error from error
+
+
+@contextmanager
+def _named_by(path, label):
+    """While what a key names is looked up or read: errors say the camera's file and the key as well."""
+    try:
+        yield
+    except DoesNotFit:
+        raise
+    except GpusimError as error:
+        raise BadFile(path, f"{label}: {error.details}") from error
+
+
+def _require_short_integers(path, value):
+    """Refuse whole numbers that no field takes: beyond 4300 digits Python does not even print them."""
+    if isinstance(value, int) and abs(value) >= LONGEST_INTEGER:
+        raise BadFile(path, "has a whole number of more than 64 bits: wanted a smaller number")
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _require_short_integers(path, item)
+
+
+def _camera(path, table):
+    name = table.pop("name", path.stem)
+    if type(name) is not str:
+        raise BadFile(path, f"name = {shown(name)}: wanted a text")
+    for section in table:
+        if section not in SECTIONS:
+            raise BadFile(path, f"unknown section [{one_line(section, LONGEST_VALUE)}]{near(section, SECTIONS)}")
+    optics, sensor = section_fields(path, table, "optics", Optics), section_fields(path, table, "sensor", Sensor)
+    if not isinstance(optics.get("transmission", 1.0), float):
+        optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
+    optics = _lens(path, _calibrated(path, optics, sensor))
+    sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
+    noise = section_fields(path, table, "noise")
+    if "profile" in sensor:
+        _profile(path, sensor, noise)
+    sensor["noise"] = _noise(path, noise, sensor)
+    return Camera(name, optics, Sensor(**sensor), _processor(path, section_fields(path, table, "processor")),
+                  _display(path, section_fields(path, table, "display")))
+
+
+def _processor(path, fields):
+    """Processor of its fields, with its filter table read; names are looked up while the file is known."""
+    if "table" in fields:
+        with _named_by(path, "[processor] table"):
+            fields["table"] = read_table(path.parent / fields["table"])
+    processor = Processor(**fields)
+    with _named_by(path, "[processor] training"):
+        reflectances(processor.training)
+    with _named_by(path, "[processor] target"):
+        illuminant(processor.target)
+    return processor
+
+
+def _display(path, fields):
+    """A display by its name, or of its own primaries, white and curve."""
+    name = fields.pop("name", None)
+    if not fields:
+        with _named_by(path, "[display] name"):
+            return open_display(name or "srgb")
+    if name in display_names():
+        raise BadFile(path, f"[display] name = {shown(name)} is a known display; leave out {', '.join(fields)}, or "
+                            "give it another name")
+    return Display(name or path.stem, **fields)
+
+
+def _profile(path, sensor, noise):
+    """Put what a DNG's noise profile tells into the fields of sensor and noise."""
+    with _named_by(path, "[sensor] noise_profile"):
+        profile = read_noise_profile(path.parent / sensor.pop("profile"))
+    own = [*(profile.fields.keys() | {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}) & sensor.keys(),
+           *{"read", "reset", "adc", "row", "column"} & noise.keys()]
+    if own:
+        raise BadFile(path, f"[sensor] noise_profile and {', '.join(sorted(own))}: wanted one or the other")
+    sensor.update(profile.fields)
+    noise["read"] = profile.read
+
+
+def _noise(path, fields, sensor):
+    """Noise of its fields, with the reset noise of the pixel's capacitance where "kTC" asks for it."""
+    if fields.get("reset") == "kTC":
+        noise = Noise(**{key: value for key, value in fields.items() if key != "reset"})  # its checks first
+        if "conversion_gain" not in sensor:
+            raise BadFile(path, '[noise] reset_e = "kTC" needs [sensor] conversion_gain_uv_per_e and adc_range_v')
+        fields["reset"] = reset_noise(sensor["conversion_gain"], noise.temperature)
+    return Noise(**fields)
+
+
+def _calibrated(path, fields, sensor):
+    """Fields of the lens with its calibration as its distortion, and as its focal length where none is given."""
+    calibration = fields.pop("calibration", None)
+    if calibration is None:
+        return fields
+    if "distortion" in fields:
+        raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
+    if not isinstance(calibration, Calibration):
+        with _named_by(path, "[optics] calibration"):
+            calibration = read_calibration(path.parent / calibration["file"], calibration.get("camera"))
+    if "focal_length" not in fields:  # focused at the plane in focus, fx is the image distance: 1/f = 1/b + 1/g
+        image_distance = calibration.fx * sensor["pixel_pitch"]
+        fields["focal_length"] = image_distance / (1 + image_distance / fields.get("object_distance", np.inf))
+    return {**fields, "distortion": calibration}
+
+
+def _lens(path, fields):
+    """Optics of its fields and of those that are parts of its wavefront or another measure of its defocus."""
+    diopters = fields.pop("diopters", None)
+    if diopters is not None and "defocus" in fields:
+        raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
+    defocus = fields.get("defocus", 0.0)
+    if not isinstance(defocus, float):
+        table = _single(path, "[optics] defocus_um", defocus)
+        fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
+    aberrations = {key: fields.pop(key) for key in ("zernike", "heights", "seidel", "reference") if key in fields}
+    if not isinstance(fields.get("lateral_color", 0.0), float):
+        fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
+    if "psf" in fields:
+        with _named_by(path, "[optics] psf"):
+            fields["psf"] = read_psf(path.parent / fields["psf"])
+        fields.setdefault("model", "measured")
+    optics = Optics(**fields, wavefront=Wavefront(**aberrations))
+    return optics if diopters is None else dataclasses.replace(optics, defocus=optics.displacement(diopters))
+
+
+def _efficiency(path, sensor):
+    """Return colour filter x photodetector x infrared cut, and the letters of its curves; takes them out of `sensor`.
+
+    Only the curves whose letters the mosaic uses are kept: red, green and blue first, then in the table's order.
+    """
+    spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
+    used = set("".join(sensor.get("cfa", Sensor.cfa)))
+    if not used <= set(letters):
+        raise BadFile(path, f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}; "
+                            f"it has {', '.join(letters) or 'one without a letter'}")
+    channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
+    rows = [letters.index(letter) for letter in channels]
+    product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
+    for key, field in (("photodetector", "photodetector_curve"), ("ir_cut", "ir_cut")):
+        if field in sensor:
+            product = _product(path, product, _single(path, f"[sensor] {key}", sensor.pop(field)))
+    ends = sensor.pop("qe_ends", None)
+    if ends == "zero":
+        low, high = product.wavelengths[0], product.wavelengths[-1]
+        nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
+        product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
+    elif ends is not None:
+        raise BadFile(path, f'[sensor] qe_ends = {shown(ends)}: wanted "zero": no light is counted outside the table')
+    return product, channels
+
+
+def _product(path, first, second):
+    """Product of two tables at the nodes of both, where both are defined; `first` may hold several functions."""
+    nodes = np.union1d(first.wavelengths, second.wavelengths)
+    low = max(first.wavelengths[0], second.wavelengths[0])
+    high = min(first.wavelengths[-1], second.wavelengths[-1])
+    nodes = nodes[(nodes >= low) & (nodes <= high)]
+    if len(nodes) < 2:
+        raise BadFile(path, f"[sensor] {first.name} and {second.name} have no wavelengths in common")
+    return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
+
+
+def _single(path, label, value):
+    """Read a curve that is one function of wavelength."""
+    spectrum, _ = _curves(path, label, value)
+    if len(spectrum.values) != 1:
+        raise BadFile(path, f"{label}: wanted one curve, got {len(spectrum.values)}")
+    return Spectrum(spectrum.wavelengths, spectrum.values[0], spectrum.name)
+
+
+def _curves(path, label, value):
+    """Read a named table, a .csv file beside the camera file or an inline table: Spectrum (C, L) and C letters."""
+    if type(value) is dict:
+        columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
+        if "wavelengths_nm" not in value or not columns:
+            raise BadFile(path, f"{label}: wanted wavelengths_nm = [...] and one list of values per curve")
+        try:
+            wavelengths = np.array(value["wavelengths_nm"], np.float64)
+            values = np.array(list(columns.values()), np.float64)
+        except (TypeError, ValueError):
+            raise BadFile(path, f"{label}: wanted lists of equally many numbers") from None
+        return Spectrum(wavelengths, values, label), tuple(columns)
+    if type(value) is not str:
+        raise BadFile(path, f"{label} = {shown(value)}: wanted a curve's name, a .csv file or a table of "
+                            "wavelengths_nm and values")
+    if value.endswith(".csv"):
+        with _named_by(path, label):
+            return _read_csv(path.parent / value)
+    with _named_by(path, label):
+        spectrum = curve(value)
+    return (Spectrum(spectrum.wavelengths, np.atleast_2d(spectrum.values), value), tuple(CHANNELS[value]))
+
+
+def _read_csv(path):
+    """Read a .csv whose first line is `wavelength_nm,R,G,B` or the like, and the others numbers.
+
+    Dividers, decimal commas and comments are those of `read_cells`.
+    """
+    lines = read_cells(path, LONGEST_TABLE)
+    if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
+        raise BadFile(path, "the first line must be wavelength_nm,R,G,B or the like")
+    try:
+        table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
+    except ValueError:
+        raise BadFile(path, f"wanted {len(lines[0])} numbers on every line after the first") from None
+    return Spectrum(table[0], table[1:], path.name), tuple(lines[0][1:])

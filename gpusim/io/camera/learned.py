@@ -1,0 +1,61 @@
+"""Tables of learned filters that come with the program, and their files.
+
+A file is a NumPy archive with the fields of `Layout` and `FilterTable` under their names; `contrast_0`, `contrast_1`
+and `detail_0`, `detail_1` are the weights along columns and rows. What may be None is missing then.
+"""
+
+import functools
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.domain.learned import FilterTable, Layout
+from gpusim.io.archive import TEXT, WHOLE, open_archive
+from gpusim.io.atomic import atomic_path
+from gpusim.io.files import named
+
+ARRAYS = ("taps", "groups", "ratios", "shares", "noise", "floor", "strengths", "levels")
+CONTRAST, DETAIL = (tuple(f"{name}_{axis}" for axis in (0, 1)) for name in ("contrast", "detail"))
+TEXTS = {"mosaic": (None,), "outputs": (None,), "domain": (), "provenance": ()}  # names and shapes
+COPIES = 2.0  # of the numbers, as the types that are kept, and whether each is finite
+
+
+@functools.cache
+def bayer_table() -> FilterTable:
+    """The table for Bayer mosaics, camera red, green and blue out; `provenance` says what it was made from."""
+    return read_table(Path(str(resources.files("gpusim.data")), "learned", "bayer.npz"))
+
+
+def write_table(path, table: FilterTable):
+    """Write a table; `read_table` gives the same back. The path ends in .npz. Raises BadFile."""
+    layout = table.layout
+    arrays: dict = {name: np.array(getattr(layout, name)) for name in (*ARRAYS, "mosaic", "outputs", "domain", "box")}
+    arrays |= {"filters": table.filters, "provenance": np.array(table.provenance)}
+    for name in ("contrast", "detail"):
+        arrays |= {f"{name}_{axis}": weights for axis, weights in enumerate(getattr(layout, name) or ())}
+    if table.offsets is not None:
+        arrays["offsets"] = table.offsets
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+@np.errstate(invalid="ignore", over="ignore")  # of damaged files; what is then no number is refused
+def read_table(path) -> FilterTable:
+    """Read a table. Raises BadFile and DoesNotFit."""
+    with open_archive(path) as stored, named(path):
+        detail = DETAIL if DETAIL[0] in stored else ()
+        numbers = (*ARRAYS, *CONTRAST, *detail, "filters")
+        stored.require((*TEXTS, *numbers, "box"))
+        for name, shape in TEXTS.items():
+            stored.shape(name, TEXT, wanted=shape)
+        for name in (*numbers, *stored.keys() & {"offsets"}):
+            stored.shape(name)
+        stored.shape("box", WHOLE, wanted=())
+        stored.require_memory(COPIES)
+        layout = Layout(mosaic=tuple(map(str, stored["mosaic"])), outputs=tuple(map(str, stored["outputs"])),
+                        domain=str(stored["domain"]), contrast=tuple(stored[name] for name in CONTRAST),
+                        detail=tuple(stored[name] for name in detail) or None, box=int(stored["box"]),
+                        **{name: stored[name] for name in ARRAYS})
+        return FilterTable(layout, stored["filters"], stored["offsets"] if "offsets" in stored else None,
+                           str(stored["provenance"]))

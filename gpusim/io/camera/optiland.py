@@ -1,0 +1,85 @@
+"""Point spreads of a lens of Optiland, an optical design program in Python."""
+
+import math
+
+import numpy as np
+
+from gpusim.domain.errors import BadData, OutOfRange, checked_count
+from gpusim.domain.psf import PointSpread
+from gpusim.io.camera.traced import Traced, spread_of
+
+HEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+MARGIN = 0.95  # of the coarsest spacing that tells all of the irradiance, lambda N / 2
+SAMPLES = 65
+FIELDS = 41  # chief rays from which the field of an image height is interpolated
+FIELD_STEPS = 4  # of the secant's search, which converges with the third power of the distance of the fields
+
+
+def optiland_psf(optic, wavelengths, corner: float, heights=HEIGHTS, *, spacing: float | None = None,
+                 samples: int = SAMPLES, rays: int = 128, reference: float | None = None) -> PointSpread:
+    """Huygens point spreads of an `optiland.optic.Optic`, a round lens, over wavelength and field.
+
+    wavelengths: [nm]; all light of the scenes must lie between them. corner: distance of the frame's corner from the
+    axis [m]. heights: of the image points, 1 at the corner, rising from 0; (0,) for the same blur all over the frame.
+    spacing: of the samples [m], lambda N / 2 of the shortest wavelength less 5 % by default. samples: along an edge,
+    odd; the light beyond is lost, so let them cover all rays and some rings. rays: across the pupil. reference:
+    wavelength whose chief ray makes the ideal image point [nm], the middle one by default; lateral color is relative to
+    it.
+    Raises BadData, OutOfRange.
+
+    Write it once and name it in the camera's file:
+        gs.write_psf("lens.npz", gs.optiland_psf(CookeTriplet(), range(400, 701, 50), corner=3e-3))
+    """
+    wavelengths = np.unique(np.asarray(wavelengths, np.float64).ravel())
+    heights = np.unique(np.asarray(heights, np.float64).ravel())
+    checked_count("samples", samples, 3)
+    checked_count("rays", rays, 16)
+    if not (len(wavelengths) and np.isfinite(wavelengths).all() and wavelengths[0] > 0):
+        raise BadData("optiland_psf: wanted wavelengths [nm] above 0")
+    if not (len(heights) and np.isfinite(heights).all() and heights[0] == 0) or not 0 < corner < math.inf:
+        raise BadData("optiland_psf: wanted heights from 0 on, 1 at the frame's corner, and corner > 0 [m]")
+    if reference is None:
+        reference = float(wavelengths[len(wavelengths) // 2])
+    if spacing is None:
+        spacing = MARGIN * wavelengths[0] * 1e-9 * abs(float(np.squeeze(optic.paraxial.FNO()))) / 2
+    fields = [_field(optic, height * corner, reference) for height in heights]
+    return spread_of([_traced(optic, field, wavelength, spacing, samples | 1, rays) for field in fields
+                      for wavelength in wavelengths], corner if len(fields) > 1 else None, reference)
+
+
+def _chief(optic, field, wavelength):
+    """Where the chief ray of a field along y, 1 the largest, meets the image: (x, y) [m]."""
+    rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
+    found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
+    if not np.isfinite(found).all():
+        raise BadData(f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at {wavelength:g} nm")
+    return found
+
+
+def _field(optic, height, wavelength):
+    """The field along y, 1 the largest, whose chief ray meets the image at a distance of `height` [m]."""
+    if height == 0:
+        return 0.0
+    fields = np.linspace(0, 1, FIELDS)
+    found = np.abs([_chief(optic, field, wavelength)[1] for field in fields])
+    if not (np.diff(found) > 0).all() or found[-1] < height * (1 - 1e-9):
+        raise OutOfRange("optiland_psf: image height", f"{height * 1e3:.4g} mm",
+                         f"up to {found.max() * 1e3:.4g} mm, which the lens's largest field reaches")
+    field = float(np.interp(height, found, fields))
+    for _ in range(FIELD_STEPS):
+        slope = np.interp(field, (fields[1:] + fields[:-1]) / 2, np.diff(found) * (FIELDS - 1))
+        field = float(np.clip(field + (height - abs(_chief(optic, field, wavelength)[1])) / slope, 0, 1))
+    return field
+
+
+def _traced(optic, field, wavelength, spacing, samples, rays):
+    """Optiland's own point spread. Its rows and columns go along y and x, about the rays' mean, from edge to edge."""
+    from optiland.psf import HuygensPSF
+
+    # n samples at an extent of n pitches from the first to the last: they are n / (n - 1) pitches apart
+    found = HuygensPSF(optic, (0, field), wavelength / 1e3, num_rays=rays, image_size=samples,
+                       pixel_pitch=spacing * 1e3 * (samples - 1) / samples)
+    x, y = (float(np.squeeze(place)) / 1e3 for place in (found.cx, found.cy))
+    centre = _chief(optic, field, wavelength)
+    middle = ((samples - 1) / 2 + (centre[1] - y) / spacing, (samples - 1) / 2 + (centre[0] - x) / spacing)
+    return Traced(float(wavelength), np.asarray(found.psf, np.float64), spacing, middle, centre, field)

@@ -1,0 +1,97 @@
+"""PNG and TIFF: pictures for display, that say what their numbers mean."""
+
+import io
+import struct
+import zlib
+
+import numpy as np
+
+from gpusim.domain.display import DISPLAYS
+from gpusim.domain.errors import BadData
+from gpusim.io.atomic import atomic_path
+from gpusim.io.frame.icc import icc_profile
+from gpusim.io.png import Header, png
+
+TIFF_KINDS = (np.uint8, np.uint16, np.float32)
+
+
+def write_png(path, image, display=DISPLAYS["srgb"]):
+    """Write a PNG, tagged with the display that its codes are for.
+
+    image: uint8 or uint16, shape (rows, cols, 3), or (rows, cols) grey. Raises BadData and BadFile.
+    """
+    data = png_bytes(image, display, path)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
+    """The same as bytes; name: what an error says. Raises BadData."""
+    image = np.ascontiguousarray(image)
+    if image.dtype not in (np.uint8, np.uint16) or image.shape[2:] not in ((), (3,)) or image.ndim < 2 \
+            or image.size == 0:
+        raise BadData(f"{name}: a PNG needs uint8 or uint16 of shape (rows, cols, 3) or (rows, cols), "
+                      f"got {image.dtype} {image.shape}")
+    return (_png8 if image.dtype == np.uint8 else _png16)(image, _chunks(display, image.ndim == 3))
+
+
+def _png8(image, chunks):
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    file, tags = io.BytesIO(), PngInfo()
+    for kind, body in chunks.items():
+        if kind != b"iCCP":
+            tags.add(kind, body)
+    profile = {"icc_profile": chunks[b"iCCP"]} if b"iCCP" in chunks else {}
+    # level 6 takes six times as long for noise that does not compress
+    Image.fromarray(image).save(file, format="PNG", compress_level=1, pnginfo=tags, **profile)
+    return file.getvalue()
+
+
+def _png16(image, chunks):
+    """Of 16 bits, which Pillow has no RGB pictures of: every byte as its difference from the same of the pixel before.
+
+    Source: PNG, third edition (W3C 2025), 9.2, filter type 1.
+    """
+    rows, cols, channels = (*image.shape, 1)[:3]
+    lines = image.astype(">u2").view(np.uint8).reshape(rows, -1)
+    filtered = np.ones((rows, 1 + lines.shape[1]), np.uint8)
+    filtered[:, 1:] = lines
+    filtered[:, 1 + 2 * channels:] -= lines[:, :-2 * channels]
+    if b"iCCP" in chunks:
+        chunks |= {b"iCCP": b"ICC profile\0\0" + zlib.compress(chunks[b"iCCP"])}
+    header = Header(cols, rows, 16, 2 if channels == 3 else 0, interlaced=False)
+    return png(header, zlib.compress(filtered, 1), chunks)
+
+
+def _chunks(display, has_color):
+    """The chunks that say what the codes mean, iCCP not yet compressed: PNG, third edition (W3C 2025), 11.3.2."""
+    exponent = 2.2 if display.curve == "srgb" else display.curve
+    chunks = {b"gAMA": struct.pack(">I", round(1e5 / exponent)),
+              b"cHRM": struct.pack(">8I", *(round(1e5 * x) for x in np.ravel((display.white, *display.primaries))))}
+    if display.encodes_like(DISPLAYS["srgb"]):
+        return chunks | {b"sRGB": b"\1"}  # relative colorimetric
+    if display.encodes_like(DISPLAYS["display-p3"]):
+        # code points of ITU-T H.273: P3 primaries, sRGB curve, RGB, full range
+        chunks[b"cICP"] = bytes([12, 13, 0, 1])
+    # a profile of three colours is none for grey
+    return chunks | ({b"iCCP": icc_profile(display)} if has_color else {})
+
+
+def write_tiff(path, image, display=DISPLAYS["srgb"]):
+    """Write one uncompressed RGB picture, shape (rows, cols, 3).
+
+    image: codes of the display, uint8 or uint16, or linear display RGB, white 1, float32. Raises BadData and BadFile.
+    """
+    import tifffile
+
+    image = np.asarray(image)
+    if image.dtype not in TIFF_KINDS or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise BadData(f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows, cols, 3), got {image.dtype} "
+                      f"{image.shape}")
+    if not np.isfinite(image).all():
+        raise BadData(f"{path}: NaN or infinite values")
+    with atomic_path(path) as temporary:
+        tifffile.imwrite(temporary, image, photometric="rgb", metadata=None, software="gpusim",
+                         iccprofile=icc_profile(display, linear=image.dtype == np.float32))

@@ -1,0 +1,285 @@
+"""ENVI: a header of text, .hdr, and beside it a raw file of samples, or a library of spectra.
+
+Source: the list of header fields in ENVI's documentation ("ENVI Header Files").
+"""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.domain.errors import BadFile, OutOfRange, shown
+from gpusim.io.files import file_size, open_file, read_text, reading
+from gpusim.io.scene.stacks import SAY_SCALE, check_reflectances, read_planes
+
+WHAT = "an ENVI header"
+TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
+COMPLEX = (6, 9)
+# axes of a file that are its bands, rows and columns
+AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
+DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")  # endings of data files beside a header
+LIBRARY = "envi spectral library"
+NANOMETRES = {"nanometers": 1, "nanometer": 1, "nanometres": 1, "nanometre": 1, "nm": 1, "micrometers": 1e3,
+              "micrometer": 1e3, "micrometres": 1e3, "micrometre": 1e3, "microns": 1e3, "micron": 1e3, "um": 1e3,
+              "µm": 1e3, "μm": 1e3, "angstroms": 0.1, "angstrom": 0.1}
+UNSAID = ("", "unknown")
+LONGEST_UM = 100  # numbers below are micrometres where the unit is not said, those above nanometres
+SHORTEST, LONGEST = 100, 1e5  # [nm] of wavelengths that are believed
+PER_NM = 1e3  # W m-2 sr-1 um-1, ENVI's unit of gains and offsets, in one W m-2 sr-1 nm-1
+SAY_WAVELENGTHS = "say them [nm], such as --wavelengths 400:700:10"
+
+
+@dataclass(frozen=True, eq=False)
+class Envi:
+    """What a header and its data file hold.
+
+    kind: "reflectance" [1] or "radiance" [W m-2 sr-1 nm-1]. wavelengths: [nm], (L,), ascending. values: float32, (L,
+    rows, cols), or (L, spectra) of a library. notes: what could not be taken as it is.
+    """
+
+    kind: str
+    wavelengths: np.ndarray
+    values: np.ndarray
+    notes: tuple[str, ...]
+
+
+def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | None = None) -> Envi:
+    """Read an ENVI file by its header: BSQ, BIL or BIP, of any real type and byte order.
+
+    wavelengths: [nm], one for each band, in exchange for the header's. kind: "reflectance" or "radiance"; without it
+    what the header has a factor or gains for, else reflectance. scale: the number that stands for 1, in exchange for
+    `reflectance scale factor`; whole numbers need either. Gains and offsets are applied, those of radiance as W m-2
+    sr-1 um-1. Bands that `bbl` calls bad are left out; samples of the `data ignore value` are 0.
+    Raises BadFile, DoesNotFit, OutOfRange.
+    """
+    path = Path(path)
+    header = _Header(path)
+    header.refuse_others()
+    library = header.text("file type", "").lower() == LIBRARY
+    rows, cols, bands = header.whole("lines"), header.whole("samples"), header.whole("bands", 1 if library else None)
+    if library and bands != 1:
+        raise BadFile(path, f"a spectral library of {bands} bands; wanted 1, and a spectrum on each line")
+    planes = cols if library else bands
+    wavelengths, good, notes = _wavelengths(header, wavelengths, planes)
+    dtype = header.dtype()
+    kind = kind or header.kind()
+    gains, offsets = header.gains(kind, planes)
+    factor = header.scale(kind, dtype, gains is not None) if scale is None else scale
+    interleave = header.text("interleave").lower()
+    if interleave not in AXES:
+        raise BadFile(path, f"interleave = {shown(interleave)}: wanted bsq, bil or bip")
+    axes = AXES[interleave]
+    shape = [0, 0, 0]
+    for axis, length in zip(axes, (bands, rows, cols), strict=True):
+        shape[axis] = length
+    start, wanted = header.whole("header offset", 0, least=0), rows * cols * bands * dtype.itemsize
+    data = _data_file(path, start + wanted)
+    with open_file(data) as file:
+        there = file_size(file) - start
+        if there < wanted:
+            raise BadFile(data, f"truncated: {path.name} wants {wanted} bytes from byte {start} on ({bands} bands, "
+                                f"{rows} lines, {cols} samples of {dtype.itemsize} bytes), {max(there, 0)} are there")
+        if there > wanted:
+            notes.append(f"{data.name} has {there - wanted} bytes more than its header says; is that right?")
+        with reading(data, "a file that can be mapped"):
+            view = np.memmap(file, dtype, "r", start, tuple(shape)).transpose(axes)
+        if library:
+            view = view[0].T[:, :, None]
+        order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
+        values, more = read_planes(data, _Chosen(view, order), scale=factor, ignored=header.ignored(dtype),
+                                   gains=None if gains is None else gains[order],
+                                   offsets=None if offsets is None else offsets[order])
+    if kind == "reflectance" and scale is None and factor == 1 and gains is None:
+        check_reflectances(data, values)
+    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *more))
+
+
+class _Chosen:
+    """Some planes of a mapped file in another order, of which nothing is read before it is asked for."""
+
+    def __init__(self, view, order):
+        self.view, self.order, self.dtype, self.shape = view, order, view.dtype, (len(order), *view.shape[1:])
+        self.size = len(order) * view[0].size
+
+    def __getitem__(self, index):
+        planes, rows = index
+        return self.view[self.order[planes], rows]
+
+
+class _Header:
+    """The fields of a header by their names in small letters, each checked as it is taken."""
+
+    def __init__(self, path):
+        self.path, self.fields = path, {}
+        with open_file(path) as file, reading(path, WHAT):
+            if file.read(2) == b"#?":
+                raise BadFile(path, f"a Radiance picture (RGBE), not {WHAT}; convert it to .exr")
+        lines = iter(read_text(path, WHAT, older=True).splitlines())
+        if not next(lines, "").strip().startswith("ENVI"):
+            raise BadFile(path, f"not {WHAT}: its first line is not ENVI")
+        for line in lines:
+            key, equals, value = line.partition("=")
+            key, value = " ".join(key.lower().split()), value.strip()
+            if line.startswith(";") or not equals:
+                continue
+            if value.startswith("{"):
+                parts = [value]
+                while "}" not in parts[-1]:
+                    more = next(lines, None)
+                    if more is None:
+                        raise BadFile(path, f"{shown(key)} has no end: a brace is not closed; is it truncated?")
+                    if not more.startswith(";"):
+                        parts.append(more)
+                value = " ".join(parts)
+            if self.fields.get(key, value) != value:
+                raise BadFile(path, f"says {shown(key)} twice, and not the same")
+            self.fields[key] = value
+
+    def text(self, key, default=None) -> str:
+        """A field as it is written."""
+        if key in self.fields:
+            return self.fields[key]
+        if default is None:
+            raise BadFile(self.path, f"lacks {key!r}")
+        return default
+
+    def whole(self, key, default=None, least=1) -> int:
+        """A whole number."""
+        text = self.text(key, None if default is None else str(default))
+        if not re.fullmatch(r"\d{1,15}", text) or int(text) < least:
+            raise BadFile(self.path, f"{key} = {shown(text)}: wanted a whole number, {least} or more")
+        return int(text)
+
+    def number(self, key) -> float:
+        """A number, which may be NaN."""
+        try:
+            return float(self.text(key))
+        except ValueError:
+            raise BadFile(self.path, f"{key} = {shown(self.text(key))}: wanted a number") from None
+
+    def numbers(self, key, count) -> np.ndarray:
+        """A list of finite numbers in braces, float64 (count,)."""
+        words = self.text(key).strip("{} \t,").split(",")
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            raise BadFile(self.path, f"{key}: wanted numbers in braces, such as {{1, 2, 3}}") from None
+        if len(values) != count or not np.isfinite(values).all():
+            raise BadFile(self.path, f"{key}: {len(values)} numbers, wanted {count} finite ones, one for each band")
+        return values
+
+    def refuse_others(self):
+        """Raise BadFile for what is not read."""
+        if self.text("file compression", "0") != "0":
+            raise BadFile(self.path, "file compression: compressed data are not read; write them uncompressed")
+        for key in ("major frame offsets", "minor frame offsets"):
+            if re.search("[1-9]", self.text(key, "")):
+                raise BadFile(self.path, f"{key}: bytes between lines are not read; write the data without")
+        if self.text("file type", "").lower() == "envi classification":
+            raise BadFile(self.path, "file type = ENVI Classification: classes have no spectra")
+
+    def dtype(self) -> np.dtype:
+        """Type of the samples, in their order of bytes."""
+        code = self.whole("data type")
+        if code in COMPLEX:
+            raise BadFile(self.path, f"data type = {code}: complex numbers are no light; wanted real ones")
+        if code not in TYPES:
+            raise BadFile(self.path, f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}")
+        order = self.whole("byte order", 0 if TYPES[code] == "u1" else None, least=0)
+        if order > 1:
+            raise BadFile(self.path, f"byte order = {order}: wanted 0 (the least significant byte first) or 1")
+        return np.dtype("<>"[order] + TYPES[code])
+
+    def kind(self) -> str:
+        """What the samples are, as far as the header says it."""
+        reflectance = "reflectance scale factor" in self.fields or "data reflectance gain values" in self.fields
+        return "radiance" if "data gain values" in self.fields and not reflectance else "reflectance"
+
+    def gains(self, kind, count):
+        """Gains and offsets of each band, or None."""
+        of = "data" if kind == "radiance" else "data reflectance"
+        return tuple(self.numbers(f"{of} {what} values", count) if f"{of} {what} values" in self.fields else None
+                     for what in ("gain", "offset"))
+
+    def scale(self, kind, dtype, has_gains) -> float:
+        """The number that stands for 1 [W m-2 sr-1 nm-1, of radiance], after the gains."""
+        if kind == "reflectance" and "reflectance scale factor" in self.fields:
+            scale = self.number("reflectance scale factor")
+            if not 1e-30 <= scale <= 1e30:
+                raise BadFile(self.path, f"reflectance scale factor = {scale:g}: wanted the number that stands for 1")
+            return scale
+        if has_gains:
+            return PER_NM if kind == "radiance" else 1.0
+        if dtype.kind != "f":
+            raise BadFile(self.path, f"{kind} in whole numbers, of which the header gives no factor; {SAY_SCALE}")
+        return 1.0
+
+    def ignored(self, dtype):
+        """The number of samples without data as it is stored, NaN also; None: there is none, or it cannot be stored."""
+        text = self.text("data ignore value", "")
+        if not text:
+            return None
+        if dtype.kind == "f":
+            with np.errstate(over="ignore"):
+                return dtype.type(self.number("data ignore value"))
+        value = int(text) if re.fullmatch(r"[+-]?\d{1,20}", text) else self.number("data ignore value")
+        limits = np.iinfo(dtype)
+        return dtype.type(int(value)) if value == value and limits.min <= value <= limits.max and (
+            value == int(value)) else None
+
+
+def _wavelengths(header, given, count):
+    """Wavelengths [nm] of all bands, which of them are good, and notes."""
+    path, notes = header.path, []
+    if given is not None:
+        nm = given
+        if len(nm) != count:
+            raise OutOfRange("wavelengths", f"{len(nm)} numbers", f"{count}, one for each band of {path}")
+    elif "wavelength" in header.fields:
+        nm = header.numbers("wavelength", count)
+        unit = header.text("wavelength units", "").lower()
+        if unit in NANOMETRES:
+            nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is no binary number
+        elif unit not in UNSAID:
+            raise BadFile(path, f"wavelength units = {shown(unit)}: wanted Nanometers or Micrometers; or "
+                                f"{SAY_WAVELENGTHS}")
+        elif nm.max() < LONGEST_UM:
+            nm, notes = np.round(nm * 1e3, 6), ["wavelength units are not said: taken as um"]
+        else:
+            notes = ["wavelength units are not said: taken as nm"]
+    else:
+        raise BadFile(path, f"the header has no wavelengths; {SAY_WAVELENGTHS}")
+    good = np.ones(count, bool)
+    if "bbl" in header.fields:
+        good = header.numbers("bbl", count) != 0
+        if not good.all():
+            notes.append(f"bands left out that bbl calls bad: {count - good.sum()} of {count}")
+    kept = np.sort(nm[good])
+    if not len(kept) or not (np.diff(kept) > 0).all():
+        raise BadFile(path, f"wavelengths of {len(kept)} bands, of which {len(np.unique(kept))} differ; wanted 1 or "
+                            "more, all different")
+    if not SHORTEST <= kept[0] <= kept[-1] <= LONGEST:
+        raise BadFile(path, f"wavelengths {kept[0]:.6g} .. {kept[-1]:.6g} nm, which cannot be right; {SAY_WAVELENGTHS}")
+    return nm, good, notes
+
+
+def _data_file(path, wanted):
+    """The file of samples beside a header: of its name without .hdr, or with another suffix in exchange."""
+    base, found = path.with_suffix(""), {}
+    for ending in (*DATA, *map(str.upper, DATA)):
+        other = base.with_name(base.name + ending)
+        try:
+            status = os.stat(other)
+        except (OSError, ValueError):
+            continue
+        if not other.is_dir() and other != path:
+            found.setdefault((status.st_dev, status.st_ino), (other, status.st_size))
+    fitting = [file for file, size in found.values() if size == wanted] or [file for file, _ in found.values()]
+    if not fitting:
+        raise BadFile(path, f"no data file beside it: wanted {base.name}, or that with one of {', '.join(DATA[1:])}")
+    if len(fitting) > 1:
+        raise BadFile(path, f"several data files beside it: {', '.join(file.name for file in fitting)}; leave one, or "
+                            f"name the header {fitting[0].name}.hdr")
+    return fitting[0]

@@ -1,0 +1,299 @@
+"""Scenes and optical images that ISETCam (https://github.com/iset/isetcam, MIT) keeps in MATLAB's files.
+
+Read are the structs `scene` and `opticalimage` by any name, and the variables of multispectral files:
+
+    scene.data.photons            (rows, cols, L)  radiance [photon s-1 m-2 sr-1 nm-1], also as codes from dmin to dmax
+    scene.spectrum.wave           (L,) [nm]
+    scene.illuminant.data.photons (L,), or (rows, cols, L) where it varies: radiance of white, in the same unit
+    scene.wAngular, depthMap      horizontal field of view [deg]; distances (rows, cols) [m]
+    opticalimage                  likewise, photons the irradiance at the sensor [photon s-1 m-2 nm-1]; optics.fNumber
+    mcCOEF, basis.basis           (rows, cols, K), (L, K): radiance as a linear model; basis.wave, imgMean (L,)
+    photons (or data), wave       (rows, cols, L), (L,): radiance
+    illuminant.data, .wavelength  (L,) radiance of white in energy [W m-2 sr-1 nm-1], the older form
+    fov, name                     of multispectral files
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.domain.content import Basis, Cube
+from gpusim.domain.errors import BadFile, one_line
+from gpusim.domain.illuminated import Illuminated
+from gpusim.domain.memory import require_memory
+from gpusim.domain.scene import Scene, unit_light
+from gpusim.domain.spectrum import Spectrum, photons_from_energy
+from gpusim.io.files import named
+from gpusim.io.scene.depth import axial
+from gpusim.io.scene.mat import Value, open_mat
+
+SCENE, OPTICAL_IMAGE = "scene", "opticalimage"
+NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # of variables, the first that is there
+SAVE = "save('scene.mat', 'scene')"
+LONGEST_NAME = 80
+MOST_LIGHTS = 4  # that light which varies over the scene may mix: each costs a device as many planes as wavelengths
+LIGHT_ERROR = 1e-3  # of such light, relative: surfaces differ by as much from those of the file, radiance does not
+LEAST_LIGHT = 1e-7  # relative to its mean, that may be taken for none
+
+
+def read_iset(path, ray: float | None = None, no_depth: bool = False) -> Scene:
+    """Read a scene of ISETCam, see this module.
+
+    Surfaces and light are apart where the file knows the light; light that varies over the scene as a mix of up to 4
+    (`Illuminated`). A linear model stays one. Of an optical image the radiance is given of which a lens of its f-number
+    that does not blur makes it; `notes` say so, and whatever else is not as in the file.
+    ray: horizontal field of view [rad] of distances that are along each pixel's ray; by default they are along the
+    axis. no_depth: leave them out. Raises BadFile, DoesNotFit.
+    """
+    with open_mat(path) as root, named(path):
+        scene = _File(Path(path), root).scene(ray, no_depth)
+    if ray and scene.depth is None:
+        raise BadFile(path, 'no depthMap of a scene, which is asked for by depth = "ray"')
+    return scene
+
+
+class _File:
+    """An open file, of which the values are checked as they are taken out."""
+
+    def __init__(self, path, root):
+        self.path, self.root, self.notes = path, root, []
+
+    def scene(self, ray, no_depth):
+        names = self.root.names
+        found = next((name for name in (*NAMES, "mcCOEF", "photons") if name in names), None)
+        if found in NAMES:
+            return self.of_object(self.root.get(found), ray, no_depth)
+        if found == "mcCOEF":
+            content = self.linear_model()
+        elif found or ("data" in names and ("wave" in names or "wavelength" in names)):
+            content = self.cube(self.root, found or "data", self.waves(self.root))
+        else:
+            return self.of_object(self.only_object(), ray, no_depth)
+        content, light = self.lit(content, self.root.get("illuminant"))
+        return self.made(content, light, self.root, self.root.get("fov"))
+
+    def only_object(self) -> Value:
+        """The one struct with photons, whatever its name."""
+        found = {name: value for name in self.root.names if (value := self.root.get(name)) is not None
+                 and value.get("data", "photons") is not None}
+        if len(found) == 1:
+            return found.popitem()[1]
+        raise BadFile(self.path, (f"several structs with data.photons ({', '.join(found)})" if found else
+                                  f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}")
+                      + f"; wanted one, {SAVE}, or a multispectral file")
+
+    def of_object(self, value, ray, no_depth):
+        """A scene of ISETCam's scene or optical image."""
+        if value is None or value.kind != "struct":
+            what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
+            raise BadFile(self.path, f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}")
+        kind = self.text(value, "type", SCENE).lower()
+        if kind not in (SCENE, OPTICAL_IMAGE):
+            raise BadFile(self.path, f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}")
+        data = value.get("data")
+        if data is None or data.get("photons") is None:
+            raise BadFile(self.path, f"{value.label}: no data.photons; wanted it computed before it is saved")
+        content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
+        distances = None
+        if kind == OPTICAL_IMAGE:
+            content, light = content.scaled(self.per_irradiance(value)), unit_light(content.wavelengths)
+        else:
+            content, light = self.lit(content, value.get("illuminant"))
+            distances = value.get("depthMap") if not no_depth else None
+        if distances is not None:
+            distances = axial(self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray)
+        return self.made(content, light, value, value.get("wAngular"), distances)
+
+    def per_irradiance(self, value):
+        """Radiance over irradiance [sr-1] of the lens that made an optical image, focused at infinity."""
+        number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
+        if number is None:
+            raise BadFile(self.path, f"{value.label}: an optical image without optics.fNumber, so that its irradiance "
+                                     "cannot be told as a scene's radiance; set it, or save the scene")
+        number = self.single(number)
+        if not 0 < number < 1e6:
+            raise BadFile(self.path, f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number")
+        self.notes.append(f"optical image: its irradiance as the radiance of which a lens of f/{number:.4g} makes it; "
+                          f'to blur and shade it no further: [optics] f_number = {number:.4g}, model = "none", '
+                          'relative_illumination = "none"')
+        return (1 + 4 * number**2) / math.pi  # see Optics.irradiance_factor
+
+    # ---- the parts
+
+    def single(self, value) -> float:
+        numbers = value.numbers()
+        if numbers.size != 1 or not np.isfinite(numbers).all():
+            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted one finite number")
+        return float(numbers.item())
+
+    def vector(self, value) -> np.ndarray:
+        numbers = value.numbers()
+        if numbers.size != max(numbers.shape):
+            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted a vector")
+        return numbers.ravel().astype(np.float64)
+
+    def waves(self, owner) -> np.ndarray:
+        """Wavelengths [nm] of a struct."""
+        value = owner.get("wave") or owner.get("wavelength")
+        if value is None:
+            raise BadFile(self.path, f"{owner.label}: no wavelengths (spectrum.wave, wave or wavelength)")
+        wavelengths = self.vector(value)
+        if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
+            raise BadFile(self.path, f"{value.label}: wanted wavelengths [nm] that increase strictly")
+        return wavelengths
+
+    def text(self, owner, key, other: str) -> str:
+        """A text of a struct, or another where it says none."""
+        value = owner.get(key)
+        return one_line((value and value.text()) or "", LONGEST_NAME) or other
+
+    def made(self, content, light, owner, degrees, depth=None):
+        fov = None if degrees is None else math.radians(self.single(degrees))
+        return Scene(content, light, fov=fov, depth=depth, name=self.text(owner, "name", self.path.stem),
+                     notes=tuple(self.notes))
+
+    def cube(self, owner, key, wavelengths):
+        return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))
+
+    def planes(self, owner, key, count) -> np.ndarray:
+        """Numbers (rows, cols, count) of a struct as float32, band-major; codes of whole numbers as what they say."""
+        value = owner.get(key)
+        if value is None:
+            raise BadFile(self.path, f"{owner.label}: no {key}")
+        shape = (*value.shape, 1)[:3] if len(value.shape) == 2 else value.shape
+        if len(shape) != 3 or shape[2] != count:
+            raise BadFile(self.path, f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), as many as "
+                                     "there are wavelengths or basis functions")
+        array = value.numbers().reshape(shape)
+        require_memory(f"{self.path}: {value.label}", 4 * array.size)
+        low, step = 0.0, 1.0
+        if array.dtype.kind != "f":
+            low, step = self.codes(owner, value, array.dtype)
+        planes = np.empty((count, *shape[:2]), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite then is refused
+            for number in range(count):
+                planes[number] = array[..., number] if step == 1 else array[..., number] * step + low
+        if not np.isfinite([planes.min(initial=0), planes.max(initial=0)]).all():
+            raise BadFile(self.path, f"{value.label}: NaN or infinite numbers, or more than float32 holds")
+        return planes
+
+    def codes(self, owner, value, dtype):
+        """The least value and the step of whole numbers from 0 to the largest of their type."""
+        low, high = owner.get("dmin") or owner.get("min"), owner.get("dmax") or owner.get("max")
+        if dtype.kind != "u" or low is None or high is None:
+            raise BadFile(self.path, f"{value.label}: {dtype}, wanted floats, or uint16 with dmin and dmax")
+        low, high = self.single(low), self.single(high)
+        if not high >= low:
+            raise BadFile(self.path, f"{owner.label}: dmin = {low:.4g}, dmax = {high:.4g}; wanted dmin <= dmax")
+        return low, (high - low) / np.iinfo(dtype).max
+
+    def linear_model(self):
+        basis = self.root.get("basis")
+        if basis is None:
+            raise BadFile(self.path, "mcCOEF without basis")
+        wavelengths = self.waves(basis if basis.kind == "struct" else self.root)
+        table = basis.get("basis") if basis.kind == "struct" else basis
+        spectra = np.zeros((0, 0)) if table is None else table.numbers().astype(np.float64)
+        if spectra.ndim != 2 or len(spectra) != len(wavelengths):
+            raise BadFile(self.path, f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}, functions), one row "
+                                     "for each wavelength")
+        planes, mean = self.planes(self.root, "mcCOEF", spectra.shape[1]), self.root.get("imgMean")
+        if mean is not None:
+            mean = self.vector(mean)
+            if len(mean) != len(wavelengths):
+                raise BadFile(self.path, f"imgMean: {len(mean)} numbers, wanted {len(wavelengths)}")
+            require_memory(f"{self.path}: mcCOEF", planes.nbytes)
+            planes = np.concatenate([planes, np.ones((1, *planes.shape[1:]), np.float32)])
+            spectra = np.column_stack([spectra, mean])
+        return Basis(wavelengths, planes, np.ascontiguousarray(spectra.T))
+
+    # ---- light and surfaces
+
+    def lit(self, content, illuminant):
+        """Surfaces and light where the light is known, else radiance and an illuminant of 1."""
+        data = illuminant and illuminant.get("data")
+        photons = data and (data.get("photons") if data.kind == "struct" else data)
+        if photons is None:
+            return content, unit_light(content.wavelengths)
+        own = illuminant.get("spectrum", "wave") or illuminant.get("wavelength") or illuminant.get("wave")
+        own = content.wavelengths if own is None else self.vector(own)
+        found = (self.lit_by_map(content, data, own) if math.prod(photons.shape) > max(photons.shape)
+                 else self.lit_by_one(content, illuminant, own))
+        if found is None:
+            self.notes.append("radiance is kept, and its light is not known")
+            return content, unit_light(content.wavelengths)
+        if (most := found[0].mean_spectrum().max()) > 1:
+            self.notes.append(f"the illuminant is not to scale: mean reflectance up to {most:.3g}")
+        return found
+
+    def lit_by_one(self, content, illuminant, own):
+        """Surfaces in one light, or None where it is dark."""
+        data, name = illuminant.get("data"), self.text(illuminant, "name", self.text(illuminant, "comment", "light"))
+        in_energy = data.kind != "struct"
+        photons = data if in_energy else data.get("photons")
+        values, kind = self.vector(photons), photons.numbers().dtype
+        if len(values) != len(own):
+            raise BadFile(self.path, f"{photons.label}: {len(values)} numbers for {len(own)} wavelengths")
+        if kind.kind != "f" and not in_energy:
+            low, step = self.codes(data, photons, kind)
+            values = low + step * values
+        light = Spectrum(own, values, name)
+        light = photons_from_energy(light) if in_energy else light
+        at = light.at(content.wavelengths)
+        if (at > 0).all() and (light.values >= 0).all():
+            return content.divided(at), light
+        self.notes.append(f"the illuminant is dark at {(at <= 0).sum()} of {len(at)} wavelengths")
+        return None
+
+    def lit_by_map(self, content, data, own):
+        """Surfaces in light that varies over the scene, or None where a few lights do not make it."""
+        if not isinstance(content, Cube) or data.kind != "struct" or not np.array_equal(own, content.wavelengths):
+            raise BadFile(self.path, "an illuminant that varies over the scene, wanted with photons at its wavelengths")
+        light = self.planes(data, "photons", len(own))
+        if light.shape != content.values.shape:
+            raise BadFile(self.path, f"{data.label}: {light.shape[1:]} samples of light for {content.shape} of a scene")
+        require_memory(f"{self.path}: light that varies", 12 * light.nbytes)
+        found = _mixed(light)
+        if found is not None:
+            mean, maps, lights = found
+            made = np.tensordot((lights * mean).T.astype(np.float32), maps, 1)
+            lit = (light > 0) & (made > 0)
+            if not content.values[~lit].any():  # light from what is not lit is no reflectance
+                surfaces = np.divide(content.values, made, out=np.zeros_like(made), where=lit)
+                return (Illuminated(own, maps, surfaces, np.eye(len(own)), lights),
+                        Spectrum(own, mean, "light that varies"))
+        self.notes.append(f"light varies over the scene, and is no mix of {MOST_LIGHTS} lights")
+        return None
+
+
+def _mixed(light):
+    """Light (L, rows, cols) as the fewest lights whose mix it is, else None: mean (L,), maps (K, ...), lights (K, L).
+
+    Lights are relative to the mean, maps are not negative: spectra of sum 1 are points of a plane, and the lights are
+    the corners of a simplex around all of them, in which a point has weights from 0 to 1.
+    """
+    flat = light.reshape(len(light), -1).astype(np.float64)
+    mean = flat.mean(axis=1)
+    if not (np.isfinite(mean).all() and flat.min() >= 0 and mean.min() > 0):
+        return None
+    flat /= mean[:, None]
+    lit = flat.any(axis=0)
+    axes = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
+    for count in range(1, min(MOST_LIGHTS, len(mean)) + 1):
+        axis = axes[:, :count]
+        parts, sums = axis.T @ flat, axis.sum(axis=0)
+        total = sums @ parts
+        if not (total[lit] > 0).all():
+            continue
+        plane = np.linalg.svd(sums[None])[2][1:].T  # the directions in which the sum stays 1
+        places = plane.T @ np.divide(parts, total, out=np.zeros_like(parts), where=lit)
+        low = places[:, lit].min(axis=1)
+        size = (places[:, lit].sum(axis=0) - low.sum()).max() or 1.0
+        weights = np.maximum((places - low[:, None]) / size, 0)
+        maps = np.concatenate([np.maximum(1 - weights.sum(axis=0), 0)[None], weights]) * np.where(lit, total, 0)
+        corners = sums / (sums @ sums) + (plane @ np.column_stack([low, low[:, None] + size * np.eye(count - 1)])).T
+        lights = corners @ axis.T
+        if (np.abs(lights.T @ maps - flat) <= LIGHT_ERROR * flat + LEAST_LIGHT).all():
+            return mean, maps.reshape(count, *light.shape[1:]).astype(np.float32), lights
+    return None

@@ -1,0 +1,256 @@
+"""MATLAB's files: variables by name, each read when it is asked for.
+
+Version 5 (`save` with -v6 or -v7) is read here, version 7.3, which is HDF5, by `gpusim.io.scene.mat_hdf5`. Source:
+MathWorks, MAT-File Format (R2019b). Nothing that a file declares is taken before the bytes for it are known to be
+there. A file of version 5 does not say how many variables it has: one that is cut off between two of them reads as one
+with fewer.
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from gpusim.domain.errors import BadFile
+from gpusim.domain.memory import require_memory
+from gpusim.io.archive import LARGEST_RATIO, PIECE
+from gpusim.io.files import file_size, open_file, reading
+
+WHAT = "a MATLAB file"
+HEADER = 128  # [byte] of version 5
+HDF5 = b"\x89HDF\r\n\x1a\n"
+USER_BLOCK = 512  # [byte] before the HDF5 that MATLAB writes
+MATRIX, COMPRESSED = 14, 15  # types of elements
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+STRUCT, CHAR = 2, 4
+OTHERS = {1: "a cell array", 5: "a sparse matrix", 16: "a function handle"}
+COMPLEX = 0x800  # flag
+LONGEST_TEXT = 2**16  # [byte] of names and comments
+MOST_NAMES = 4096  # of variables in a file, and of fields in a struct
+HEAD = 1024  # [byte] of a variable, in which its name ends: 32 dimensions and 63 letters take less
+
+
+class Value:
+    """A variable or a field: numbers, a text, a struct, or something that is only named.
+
+    kind: "numbers", "text", "struct" (of one element), or what it is in words. shape: as in MATLAB. names: of the
+    fields of a struct.
+    """
+
+    def __init__(self, path, label: str, kind: str, shape: tuple[int, ...], names: tuple[str, ...] = ()):
+        self.path, self.label, self.kind, self.shape, self.names = path, label, kind, shape, names
+
+    def get(self, *names: str) -> "Value | None":
+        """The field of a field ...; None where one is missing, empty, or of something that is no struct.
+
+        Raises BadFile, DoesNotFit.
+        """
+        value = self
+        for name in names:
+            if name not in value.names:
+                return None
+            with reading(self.path, WHAT):
+                value = value._field(name)
+        return value if math.prod(value.shape) else None
+
+    def numbers(self) -> np.ndarray:
+        """Real numbers, of `shape`, in the type of their class in MATLAB. Raises BadFile, DoesNotFit."""
+        if self.kind != "numbers":
+            raise BadFile(self.path, f"{self.label}: {self.kind}, wanted real numbers")
+        with reading(self.path, WHAT):
+            self._check()
+            require_memory(f"{self.path}: {self.label}", 8 * math.prod(self.shape))
+            return self._array()
+
+    def text(self) -> str | None:
+        """What a text of one line says; None of anything else. Raises BadFile."""
+        if self.kind != "text" or len(self.shape) != 2 or self.shape[0] != 1 or self.shape[1] > LONGEST_TEXT:
+            return None
+        with reading(self.path, WHAT):
+            self._check()
+            return self._text()
+
+    def _field(self, name: str) -> "Value":
+        raise NotImplementedError
+
+    def _check(self):
+        """Raise BadFile where the file cannot hold what a value declares."""
+        raise NotImplementedError
+
+    def _array(self) -> np.ndarray:
+        raise NotImplementedError
+
+    def _text(self) -> str:
+        raise NotImplementedError
+
+
+@contextmanager
+def open_mat(path) -> Iterator[Value]:
+    """Open a MATLAB file as a struct of its variables, which are to be read inside the block. Raises BadFile."""
+    with open_file(path) as file:
+        with reading(path, WHAT):
+            head = file.read(USER_BLOCK + len(HDF5))
+            if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
+                root = _Root(path, file, head)
+        if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
+            yield _filled(root)
+            return
+    from gpusim.io.scene.mat_hdf5 import open_hdf5
+
+    with open_hdf5(path) as variables:
+        yield _filled(variables)
+
+
+def _filled(root):
+    if not root.names:
+        raise BadFile(root.path, "holds no variables; is it truncated?")
+    return root
+
+
+class _Root(Value):
+    """A file of version 5 as the struct of its variables."""
+
+    def __init__(self, path, file, head):
+        self.order = {b"IM": "<", b"MI": ">"}.get(head[HEADER - 2:HEADER])
+        if self.order is None or 0 in head[:4]:
+            raise BadFile(path, "not a MATLAB file of version 5 .. 7.3, the ones that hold structs; write it with "
+                                "save('scene.mat', 'scene', '-v7')")
+        self.file, self.size, self.places, start = file, file_size(file), {}, HEADER
+        while start + 8 <= self.size:
+            kind, length = struct.unpack(f"{self.order}II", self._stored(start, 8))
+            if kind not in (MATRIX, COMPRESSED):
+                raise BadFile(path, f"truncated or damaged at byte {start}: a variable of type {kind}")
+            place = (start + 8, length, kind == COMPRESSED)
+            self.places[_head(self._variable(path, place, HEAD), self.order)[2]] = place
+            if len(self.places) > MOST_NAMES:
+                raise BadFile(path, f"more than {MOST_NAMES} variables")
+            start += 8 + length
+        if start != self.size:
+            raise BadFile(path, f"truncated or damaged at byte {start}: {self.size - start} bytes left, no variable")
+        super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
+
+    def _field(self, name):
+        return _Matrix(self.path, name, self._variable(self.path, self.places[name]), self.order)
+
+    def _variable(self, path, place, most=2**63):
+        """The bytes of a variable, or the first `most` of them."""
+        start, length, packed = place
+        if start + length > self.size:
+            raise BadFile(path, f"truncated: {length} bytes from byte {start} on in a file of {self.size}")
+        if packed:
+            kind, unpacked = struct.unpack(f"{self.order}II", self._inflated(start, length, 8))
+            if kind != MATRIX or unpacked > LARGEST_RATIO * length:
+                raise BadFile(path, f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
+                                    f"packed in {length}")
+        wanted = min(unpacked if packed else length, most)
+        require_memory(f"{path}: a variable", wanted)
+        if not packed:
+            return self._stored(start, wanted)
+        return self._inflated(start, length, 8 + wanted, to_end=wanted == unpacked)[8:]
+
+    def _stored(self, start, length):
+        self.file.seek(start)
+        return memoryview(self.file.read(length))
+
+    def _inflated(self, start, length, wanted, to_end=False):
+        """The first `wanted` bytes of what is packed in `length` from `start` on. to_end: there should be no more."""
+        self.file.seek(start)
+        stream, whole, filled = zlib.decompressobj(), memoryview(bytearray(wanted)), 0
+        while filled < wanted:
+            packed = stream.unconsumed_tail
+            if not packed:
+                packed = self.file.read(min(PIECE, length))
+                length -= len(packed)
+            piece = stream.decompress(packed, min(PIECE, wanted - filled))
+            if not piece and not packed:
+                raise EOFError("packed numbers end early")
+            whole[filled:filled + len(piece)] = piece
+            filled += len(piece)
+        if to_end:  # where its check sum is
+            stream.decompress(stream.unconsumed_tail + self.file.read(min(PIECE, length)), 1)
+            if not stream.eof:
+                raise EOFError("more is packed than declared, or the check sum is missing")
+        return whole
+
+
+class _Matrix(Value):
+    """A variable or field of version 5."""
+
+    def __init__(self, path, label, view, order):
+        self.view, self.order = view, order
+        if not len(view):  # MATLAB may write nothing at all in place of []
+            super().__init__(path, label, "numbers", (0, 0))
+            return
+        flags, shape, _, self.start = _head(view, order)
+        self.type, self.places = flags & 0xFF, {}
+        kind = OTHERS.get(self.type, "an object")
+        if self.type == CHAR:
+            kind = "text"
+        elif self.type in CLASSES:
+            kind = "complex numbers" if flags & COMPLEX else "numbers"
+        elif self.type == STRUCT:
+            kind = "struct" if math.prod(shape) == 1 else "a struct array"
+        if kind == "struct":
+            self._find_fields()
+        super().__init__(path, label, kind, shape, tuple(self.places))
+
+    def _find_fields(self):
+        _, length, at = _element(self.view, self.order, self.start)
+        _, letters, at = _element(self.view, self.order, at)
+        wide, = struct.unpack(f"{self.order}i", length)
+        if not 0 < wide <= LONGEST_TEXT or len(letters) > MOST_NAMES * wide:
+            raise ValueError("names of fields that are too long or too many")
+        for first in range(0, len(letters), wide):
+            kind, data, at = _element(self.view, self.order, at)
+            if kind != MATRIX:
+                raise ValueError(f"a field of type {kind}")
+            self.places[_letters(letters[first:first + wide])] = data
+
+    def _field(self, name):
+        return _Matrix(self.path, f"{self.label}.{name}", self.places[name], self.order)
+
+    def _check(self):
+        """All is in the variable's bytes, which were there."""
+
+    def _array(self):
+        kind, data, _ = _element(self.view, self.order, self.start)
+        return np.frombuffer(data, self.order + TYPES[kind]).astype(CLASSES[self.type], copy=False).reshape(
+            self.shape, order="F")
+
+    def _text(self):
+        kind, data, _ = _element(self.view, self.order, self.start)
+        name = LETTERS[kind]
+        ending = {"<": "-le", ">": "-be"}[self.order] if name in ("utf-16", "utf-32") else ""
+        return bytes(data[:4 * LONGEST_TEXT]).decode(name + ending, "replace")
+
+
+def _element(view, order, at):
+    """Type and bytes of the element that begins at `at`, and where the next one does."""
+    kind, = struct.unpack_from(f"{order}I", view, at)
+    if kind >> 16:  # a small element: its length in the upper half, its bytes at once
+        return kind & 0xFFFF, view[at + 4:at + 4 + min(kind >> 16, 4)], at + 8
+    length, = struct.unpack_from(f"{order}I", view, at + 4)
+    data = view[at + 8:at + 8 + length]
+    if len(data) < length:
+        raise EOFError(f"an element of {length} bytes in {len(view) - at - 8}")
+    return kind, data, at + 8 + length + -length % 8
+
+
+def _head(view, order):
+    """Flags, shape and name of a matrix, and where what it holds begins."""
+    _, flags, at = _element(view, order, 0)
+    _, lengths, at = _element(view, order, at)
+    _, name, at = _element(view, order, at)
+    shape = tuple(int(length) for length in np.frombuffer(lengths, f"{order}i4"))
+    if min(shape, default=-1) < 0:
+        raise ValueError(f"a variable of shape {shape}")
+    return struct.unpack_from(f"{order}I", flags)[0], shape, _letters(name), at
+
+
+def _letters(data):
+    return bytes(data).split(b"\0")[0].decode("latin-1")

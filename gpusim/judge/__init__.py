@@ -1,0 +1,1 @@
+"""What judges gpusim: truth, verification, benchmarks, forecasts, hard cases."""

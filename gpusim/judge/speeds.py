@@ -1,0 +1,98 @@
+"""How fast a device runs each stage: measured once, kept in the user's cache folder, and what a frame takes by it."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.backends.probe import cache_file, write_cache
+from gpusim.backends.tape import Tape, noted
+from gpusim.kernels.stage import public_function, stage_module
+from gpusim.pipeline.cost import of_bench, of_plan
+from gpusim.pipeline.developer import Developer
+
+SIZES = ((96, 128), (480, 640))  # rows and columns at which a stage is timed
+GPU_SIZES = ((96, 128), (720, 1280))  # the same of GPUs, which smaller ones do not fill
+REFERENCE_SIZES = ((16, 24), (48, 64))  # the same of the NumPy reference, which is slow
+SECONDS = 0.08  # of repetitions of a stage at a size, beside what builds it
+IN_A_ROW = 100  # of these at most on a GPU, whose clock is slow when it had to wait
+
+
+class Speeds:
+    """Milliseconds of a stage by its work: a part that is always taken, and one for each unit of `of_plan`.
+
+    device: what they are of. cache: file in which they are kept, None for none.
+    """
+
+    def __init__(self, device: Device, cache: Path | None = None):
+        self.device, self.cache = device, cache or cache_file(f"speeds-{device.name.replace(':', '-')}")
+        self.known: dict[str, list[float]] = self._read()
+
+    def of(self, stage: str) -> tuple[float, float]:
+        """Milliseconds that a stage always takes, and for each unit of its work; measured where they are not known."""
+        if stage not in self.known:
+            sizes = REFERENCE_SIZES if self.device.kind == "numpy" else GPU_SIZES if self.device.is_gpu else SIZES
+            (low, small), (high, large) = (self._timed(stage, *size) for size in sizes)
+            unit = max(large - small, 0.1 * large) / (high - low)
+            self.known[stage] = [max(small - unit * low, 0.0), unit]
+            if self.cache is not None:
+                write_cache(self.cache, self.known)
+        always, unit = self.known[stage]
+        return always, unit
+
+    def ms(self, work: dict[str, float]) -> dict[str, float]:
+        """Milliseconds of every stage of a frame."""
+        found = {}
+        for stage, amount in work.items():
+            always, unit = self.of(stage)
+            found[stage] = always + unit * amount
+        return found
+
+    def _timed(self, stage, rows, cols):
+        """Work of a stage's benchmark, and its median milliseconds with its arrays on the device."""
+        inputs = stage_module(stage).bench(rows, cols)
+        resident = {key: self.device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+                    for key, value in inputs.items()}
+        function, times, in_a_row, tape = public_function(stage), [], 0, Tape()
+
+        def run():
+            function(**resident, device=self.device)
+
+        with noted(tape if self.device.is_gpu else None):
+            run()  # and built
+        if self.device.is_gpu and tape.is_replayable:  # as in a program's frames, where nothing small is copied again
+            run = tape.replay
+        warm = time.perf_counter() + SECONDS / 4
+        while self.device.is_gpu and in_a_row < IN_A_ROW and time.perf_counter() < warm:
+            run()
+            self.device.sync()
+            in_a_row += 1
+        in_a_row = max(in_a_row, 1)
+        stop = time.perf_counter() + SECONDS
+        while len(times) < 3 or (time.perf_counter() < stop and len(times) < 50):
+            with self.device.timed() as ms:
+                for _ in range(in_a_row):
+                    run()
+            times.append(sum(ms.values()) / in_a_row)
+        return of_bench(stage, inputs, rows, cols), float(np.median(times))
+
+    def _read(self):
+        try:
+            known = json.loads(self.cache.read_text()) if self.cache else {}
+            return {str(stage): [float(always), float(unit)] for stage, (always, unit) in known.items()}
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+            return {}
+
+
+def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
+    """Predicted milliseconds of every stage of a frame by a plan, after the first of its kind.
+
+    simulator: a `gpusim.pipeline.simulator.Simulator` with the plan's camera. speeds: of its device, measured by
+    default.
+    """
+    speeds = Speeds(simulator.device) if speeds is None else speeds
+    developer = Developer(plan.camera, simulator.device, edges=np.empty(0))
+    stages = [*simulator.readout.models(), *developer.models(), "sensor.meter", "processor.color", "display.encode"]
+    return speeds.ms(of_plan(plan, stages))

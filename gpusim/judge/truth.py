@@ -1,0 +1,115 @@
+"""The truth about frames: exact mean electrons, from the scene's own samples and the camera's own numbers, float64.
+
+Every wavelength by itself, nothing split off and nothing folded, in a world that goes on without end as its border
+says. Light is put where the lens and a view put it by Fourier series (`gpusim.judge.truth_light`), blurred and
+integrated over each pixel wherever it lies (`gpusim.judge.truth_blur`), and spread by each sample's own kernel, about
+where the axis meets the frame, if the blur varies over the field (`gpusim.judge.truth_field`).
+
+What the frame and the truth both still use, and what judges it from outside (tests/judges, but where another is named):
+- electrons per content, cubics in the wavelength between the scene's (`planner.weights`): tests/host/test_weights.py;
+- the pupil's transfer function and kernels (`optics.otf`, `optics.rays`, `optics.lens`): test_truth_stars.py, against
+  Hankel and Fourier integrals of the pupil;
+- samples, where the lens puts them, are points of light whose energy is kept whatever the fill factor, and an even
+  scene gives even pixels: test_truth_stars.py, test_truth_scenes.py;
+- light from afar, on a coarse grid with what the planner predicts (`planner.border.unseen`): test_border.py;
+- formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`, `planner.geometry`):
+  test_opencv.py, tests/frames/test_geometry.py;
+- layers and kernels by distance (`planner.depth`), and samples that are even over their cells if nothing blurs them:
+  tests/frames/test_depth.py, tests/frames/test_sampling.py.
+"""
+
+import dataclasses
+from math import ceil
+
+import numpy as np
+
+from gpusim.domain.errors import OutOfRange
+from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
+from gpusim.judge.truth_field import blocks, varying_rates
+from gpusim.judge.truth_light import axis_of, falloff_gain, pixel_places, placed_light, plain_rates
+from gpusim.optics.weights import electrons_per_content
+from gpusim.pipeline.report import Error
+
+
+def require_truth(camera, scene):
+    """Raise OutOfRange for a camera and a scene of which the truth is not known."""
+    optics = camera.optics
+    for what, allowed, is_so in (
+            (f"{scene.samples_per_pixel:g} samples per pixel with a blur that varies over the field",
+             "1 sample per pixel", optics.varies and scene.samples_per_pixel != 1),
+            (f"{scene.samples_per_pixel:g} samples per pixel with measured energies of pixels",
+             "1 sample per pixel, or samples of the irradiance",
+             optics.psf is not None and optics.psf.integrated and scene.samples_per_pixel != 1),
+            ("depth beside distortion, a calibration or measured point spreads", "a scene without depth, or a lens "
+             "without them", scene.depth is not None and optics.model != "none"
+             and (optics.distortion is not None or optics.psf is not None))):
+        if is_so:
+            raise OutOfRange("verify", what, allowed)
+    if optics.varies and optics.psf is not None and any(axis := axis_of(camera, scene.shape)):
+        raise OutOfRange("verify", "point spreads of field points, with the axis {:.3g}, {:.3g} pixels off the frame's "
+                         "middle".format(*axis), "an axis in the middle")
+
+
+def true_error(simulator, scene, exposure) -> Error:
+    """Error of an exposure's mean electrons; simulator: by which it was made. Raises DoesNotFit."""
+    return Error.between(*seen(simulator, scene, exposure), simulator.camera.sensor.read_sigma)
+
+
+def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
+    """Mean electrons of an exposure and their truth; of a large frame whose blur varies in parts of it, one row."""
+    mean, camera = np.array(simulator.device.numpy(exposure.mean), np.float32), simulator.camera
+    parts = blocks(scene.shape) if camera.optics.varies else [(slice(None), slice(None))]
+    found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
+    if len(parts) == 1:
+        return mean, found[0]
+    rows = [np.concatenate([one.ravel() for one in every]) for every in ([mean[..., *part] for part in parts], found)]
+    return rows[0], rows[1]
+
+
+def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
+    """Mean electrons of every pixel, float64, shape (rows, cols) or, of stacked pixels, (C, rows, cols).
+
+    simulator: the class `Simulator`, which imports this module. plan: of the frame, of which the truth knows nothing.
+    Light between points that are sampled too coarsely may come out negative, and stays so. Raises DoesNotFit.
+    """
+    del plan
+    return _electrons(simulator, camera, scene, exposure_time, [tuple(slice(0, n) for n in scene.shape)])[0]
+
+
+def _electrons(simulator, camera, scene, exposure_time, parts):
+    """Mean electrons of parts of a frame: see `true_mean`."""
+    optics, cfa = camera.optics, camera.sensor.cfa_indices
+    light = placed_light(camera, scene)
+    if optics.model == "none":
+        rates = plain_rates(np.tensordot(electrons_per_content(scene, camera), light, 1), camera, scene)
+    elif scene.depth is not None:
+        rates = _rates_by_depth(simulator, dataclasses.replace(camera, optics=optics.on_axis()), scene, light)
+    else:
+        rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
+    more = varying_rates(light, camera, scene, _within(parts, scene.shape)) if optics.varies else [0.0] * len(parts)
+    gain = exposure_time * falloff_gain(camera, scene)
+    y, x = np.indices(scene.shape)
+    channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
+    found = []
+    for part, own in zip(parts, more, strict=True):
+        electrons = gain[part] * (rates[:, *part] + own)
+        found.append(electrons if camera.sensor.stacked
+                     else np.take_along_axis(electrons, channel[part][None], 0)[0])
+    return found
+
+
+def _rates_by_depth(simulator, camera, scene, light):
+    """Electrons per second of every pixel in every channel, (C, rows, cols), by a depth plan of the reference's own."""
+    ratio, sensor = scene.samples_per_pixel, camera.sensor
+    pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))
+    reach = simulator(camera, device="numpy").plan(scene).depth.reach
+    period = period_of(camera.optics, scene, pitch, reach, displaced)
+    reference = simulator(camera, device="numpy", period=period)
+    own = reference.plan(scene)
+    weights = own.weights / own.flat * own.q
+    return reference.imaging.channels(own) + far_rates(weights, light, camera.optics, scene, period,
+                                                       pixel_places(camera, scene))
+
+
+def _within(parts, shape):
+    return [tuple(slice(*at.indices(n)[:2]) for at, n in zip(part, shape, strict=True)) for part in parts]

@@ -1,0 +1,159 @@
+"""The truth's blur where it is the same all over the field: every wavelength, in a world without end, float64.
+
+Samples are points of light, and an even scene gives even pixels. A mirrored world repeats itself every two frames, and
+so does a transform of that length, exactly. Any other is transformed with REACH samples around the frame; what lies
+beyond is smooth light from afar, and comes from a coarse grid (`gpusim.optics.outside.unseen`). A pupil with straight
+blades throws it along their normals instead, too narrow for a coarse grid, which takes the mean over directions: with
+BLADES_REACH samples around the frame. Beyond a scene's own margin its outermost samples go on.
+
+A pixel is the integral over its aperture wherever it lies among the samples: all frequencies that the lens passes are
+followed to its place, one by one, and nothing is interpolated.
+"""
+
+from math import ceil
+
+import numpy as np
+import scipy
+
+from gpusim.domain.optics import Optics
+from gpusim.judge.truth_light import MODES, pixel_places
+from gpusim.optics import tables
+from gpusim.optics.lens import spread_radius, tail_of
+from gpusim.optics.outside import at_samples, rule_of, unseen
+from gpusim.optics.response import spread_at
+from gpusim.optics.weights import electrons_per_content
+
+REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
+RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least
+CELLS = 32  # of the coarse grid along the reach
+
+
+def period_of(optics: Optics, scene, pitch: float, depth_reach: float = 0.0, displaced: int = 0) -> tuple[int, int]:
+    """Rows and columns of the transforms that this scene needs; pitch: of its samples [m], displaced: how far, too."""
+    shape = [n + 2 * scene.margin for n in scene.samples]
+    reach = ceil(max(depth_reach, spread_radius(optics, scene.wavelengths, pitch))) + 2
+    if scene.border == "reflect":
+        return tuple(2 * n * ceil((n + 2 * displaced + (2 * reach if optics.psf else 0)) / (2 * n)) for n in shape)
+    if tail_of(optics):
+        q = scene.wavelengths.max() * 1e-9 * optics.working_f_number / pitch
+        reach = max(RADII * reach, ceil(RINGS * q), BLADES_REACH if optics.pupil.blades else REACH)
+    return tuple(scipy.fft.next_fast_len(n + 2 * (reach + displaced), real=True) for n in shape)
+
+
+def blurred_rates(light, camera, scene) -> np.ndarray:
+    """Electrons per second of every pixel in every channel before fall-off, (C, rows, cols).
+
+    light: of every wavelength where the lens puts it, (L, rows, cols), with the scene's margin.
+    """
+    optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
+    weights, pitch = electrons_per_content(scene, camera), sensor.pixel_pitch / ratio
+    places = pixel_places(camera, scene)
+    period = period_of(optics, scene, pitch, displaced=ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio))
+    q = scene.wavelengths * 1e-9 * optics.working_f_number / pitch
+    wide = [side / pitch for side in sensor.aperture]
+    before = [(length - n) // 2 for length, n in zip(period, light.shape[1:], strict=True)]
+    pads = [(first, length - n - first) for first, n, length in zip(before, light.shape[1:], period, strict=True)]
+    at = [first + scene.margin + place for first, place in zip(before, places, strict=True)]
+    total, tails = np.zeros((len(weights), *scene.shape)), weights * q
+    for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
+        if weight.any() and plane.any():
+            spectrum = scipy.fft.rfft2(np.pad(plane, pads, mode=MODES[scene.border]), workers=-1)
+            transfer, cut = _transfer(optics, scene.wavelengths[k], pitch)
+            seen, even = _at_pixels(spectrum, period, transfer, cut, wide, at)
+            total += weight[:, None, None] * seen
+            tails[:, k] /= even
+    return total + far_rates(tails, light, optics, scene, period, places)
+
+
+def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
+    """What light from beyond the transforms adds at places (rows, cols) among the samples; weights: times q, (C, L)."""
+    border, tail = rule_of(scene.border), tail_of(optics)
+    if border == "reflect" or not tail:
+        return 0.0
+    seen = np.tensordot(weights, light, 1)
+    around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2
+    rows, cols = (scene.margin + place for place in places)
+    return np.stack([at_samples(
+        unseen(one, period, border, max(around / CELLS, 1), tail, times=(3, 5, 7), soft=2), one.shape, period, rows,
+        cols) for one in seen])
+
+
+def _at_pixels(spectrum, period, transfer, cut, wide, places):
+    """Mean irradiance over the apertures, of points with this spectrum, over that of even points of 1; and the latter.
+
+    transfer: of the lens at fy, fx [cycle/sample], 0 from `cut` on; of a cut of 0 it is that of the pixels already.
+    wide: height and width of the apertures. places: their rows and columns in the period [sample].
+    """
+    fy, fx = np.fft.fftfreq(period[0]), np.arange(period[1] // 2 + 1) / period[1]
+    apart = [place - place[0] for place in places]
+    whole = all(np.abs(place - np.rint(place)).max() < 1e-9 for place in apart)
+    first = [place[0] if whole else 0.0 for place in places]
+    rest = apart if whole else places
+    # of a real world the other half of the columns is the conjugate at the opposite frequencies
+    twice = np.where((np.arange(len(fx)) == 0) | (2 * np.arange(len(fx)) == period[1]), 1.0, 2.0)
+    folded, seen, even = np.zeros(spectrum.shape, complex), 0.0, 0.0
+    for a, b in _replicas(cut):
+        y, x = fy + a, fx + b
+        if cut and np.hypot(np.abs(y).min(), np.abs(x).min()) > cut:
+            continue
+        down, across = ((np.sinc(side * f) if cut else 1.0) * np.exp(2j * np.pi * f * start)
+                        for side, f, start in zip(wide, (y, x), first, strict=True))
+        table = transfer(y, x) * down[:, None] * across
+        if whole:
+            folded += table
+            continue
+        to_y, to_x = (np.exp(2j * np.pi * np.outer(place, f)) for place, f in zip(rest, (y, x), strict=True))
+        seen = seen + (to_y @ ((table * spectrum * twice) @ to_x.T)).real / np.prod(period)
+        even = even + (to_y[:, :1] * table[0, 0] * to_x[:, 0]).real
+    if not whole:
+        return seen / even, float(np.mean(even))
+    picture = scipy.fft.irfft2(folded * spectrum, period, workers=-1)
+    at = np.ix_(*(np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True)))
+    even = float(folded[0, 0].real)
+    return picture[at] / even, even
+
+
+def _replicas(cut):
+    """Whole frequencies, along rows and columns, around which samples repeat what the lens passes."""
+    reach = range(-ceil(cut + 0.5), ceil(cut + 0.5) + 1) if cut else (0,)
+    return [(a, b) for a in reach for b in reach]
+
+
+def _transfer(optics: Optics, wavelength, pitch):
+    """Transfer function of the lens at all fy and fx [cycle/sample], and the frequency that ends it."""
+    if optics.psf is not None:
+        return _measured(optics.psf, wavelength, pitch)
+    q, waves = wavelength * 1e-9 * optics.working_f_number / pitch, optics.waves(np.array([wavelength]))
+    if optics.is_ideal:
+        own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
+    else:
+        own = tables.exact_otf(optics.pupil, waves)
+    spots, diffuser = [length / pitch for length in optics.birefringence], optics.diffuser / pitch
+
+    def transfer(fy, fx):
+        out = np.zeros((len(fy), len(fx)), complex)
+        inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
+        out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
+        down, across = (np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
+                        for spot, f in zip(spots, (fy, fx), strict=True))
+        return out * down[:, None] * across
+
+    return transfer, 1 / q
+
+
+def _measured(spread, wavelength, pitch):
+    """The same of a spread that is given. Its samples are of what has no frequency beyond half their rate."""
+    values, step = spread_at(spread, [wavelength])[0], spread.spacing / pitch
+    along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
+
+    def transfer(fy, fx):
+        to_y, to_x = (np.exp(-2j * np.pi * step * np.outer(f, at)) for f, at in zip((fy, fx), along, strict=True))
+        if not spread.integrated:  # a frequency of exactly half the rate counts half for either sign
+            to_y, to_x = (to * _passed(np.abs(f) * step)[:, None] for to, f in zip((to_y, to_x), (fy, fx), strict=True))
+        return to_y @ values @ to_x.T
+
+    return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
+
+
+def _passed(rate):
+    return np.where(rate < 0.5 - 1e-12, 1.0, np.where(rate < 0.5 + 1e-12, 0.5, 0.0))

@@ -1,0 +1,177 @@
+"""The truth's geometry: light where the lens and a view put it, and what it loses toward the corner, float64.
+
+Between its samples a scene is band-limited: the Fourier series through them and their mirror image, after as much of
+what its border says as a place can be outside. Where a place of the image comes from is found by Newton's method for
+every place by itself, from the camera's own model.
+"""
+
+from math import ceil
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gpusim.domain.calibration import Framed
+from gpusim.domain.distortion import framed, ideal
+from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
+
+# Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
+# Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
+TAPS = 10
+SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)  # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
+MODES: dict[str, Any] = {"zero": "constant", "edge": "edge", "scene": "edge", "reflect": "symmetric"}
+RIM, FARTHEST = 32, 512  # [sample] around the scene that take part in the series, beside those that are shown, at most
+FINER, PARTS = 2.0, 4  # samples per place beyond which a place is the mean over PARTS x PARTS Gauss nodes of its cell
+
+
+def axis_of(camera, shape) -> tuple[float, float]:
+    """Where the optical axis meets a frame of `shape`, from its middle, (rows, cols) [pixel]."""
+    distortion, pitch = camera.optics.distortion, camera.sensor.pixel_pitch
+    model = None if distortion is None else framed(distortion, shape, pitch)
+    if not isinstance(model, Framed):
+        return 0.0, 0.0
+    x, y = (middle * model.radius / pitch for middle in model.middle)
+    return y, x
+
+
+def placed_light(camera, scene) -> np.ndarray:
+    """Light of every wavelength where the lens and the view put it, shape (L, rows, cols) of the scene's samples."""
+    light = scene.content.on_host().bands_at(slice(None))
+    distortion = camera.optics.distortion
+    if distortion is None and scene.view.is_plain:
+        return light
+    rows, cols = light.shape[1:]
+    y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
+    model = None if distortion is None else framed(distortion, scene.shape, camera.sensor.pixel_pitch)
+    pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
+
+    def source(y, x):
+        """Rows and columns of the scene that places of the image show, and the light's area over the image's."""
+        y, x = np.broadcast_arrays(y, x)
+        flux = np.ones(y.shape)
+        if model is not None:
+            step = pitch / model.radius
+            u, v = ideal(model, x * step, y * step)
+            a, b, c, d = model.derivative(u, v)
+            y, x, flux = v / step, u / step, 1 / (a * d - b * c)
+        y, x = scene.view.place(y, x, scene.samples_per_pixel)
+        return y + (rows - 1) / 2, x + (cols - 1) / 2, flux
+
+    nodes, mass = np.zeros(1), np.ones(1)
+    if model is not None and _most_samples(source, y, x) > FINER:
+        nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
+    total = np.zeros_like(light)
+    for down, high in zip(nodes, mass, strict=True):
+        for across, wide in zip(nodes, mass, strict=True):
+            at_y, at_x, flux = source(y[:, None] + down, x + across)
+            total += high * wide * flux * band_limited(light, at_y, at_x, scene.border)
+    return total
+
+
+def _most_samples(source, y, x):
+    """Most samples of the scene from one place of the image to the next."""
+    at = np.stack(source(y[:, None], x)[:2])
+    return max(np.hypot(*np.diff(at, axis=axis)).max(initial=0) for axis in (1, 2))
+
+
+def band_limited(planes, y, x, border: str) -> np.ndarray:
+    """Values of planes (L, rows, cols) at places (y, x) [sample], of one shape, between and beyond the samples."""
+    rim = [0 if border == "reflect" else int(min(max(-at.min(), at.max() - n + 1, 0), FARTHEST)) + RIM
+           for at, n in zip((y, x), planes.shape[1:], strict=True)]
+    lengths = [2 * (n + 2 * more) for n, more in zip(planes.shape[1:], rim, strict=True)]
+    taps, inside = [], np.ones(np.shape(y), bool)
+    for at, n, more, length in zip((y, x), planes.shape[1:], rim, lengths, strict=True):
+        if border == "zero":
+            inside &= (at > -more) & (at < n - 1 + more)
+        if border != "reflect":  # of a mirrored world the series is itself
+            at = np.clip(at, -more, n - 1 + more)
+        at = 2 * (at + more)
+        first = np.ceil(at - TAPS / 2).astype(int)
+        taps.append([((first + k) % (2 * length), _kernel(at - first - k)) for k in range(TAPS)])
+    series = [_kernel_transform(np.fft.fftfreq(length, 1 / length) / (2 * length)) for length in lengths]
+    out = np.empty((len(planes), *np.shape(y)))
+    for total, plane in zip(out, planes, strict=True):
+        wide = np.pad(plane, [(more, more) for more in rim], mode=MODES[border])
+        wide = np.pad(wide, [(0, n) for n in wide.shape], mode="symmetric")
+        spectrum = scipy.fft.fft2(wide) / series[0][:, None] / series[1]
+        longer = np.zeros((2 * lengths[0], 2 * lengths[1]), complex)
+        at = [np.fft.fftfreq(length, 1 / length).astype(int) for length in lengths]
+        longer[np.ix_(*at)] = spectrum
+        fine = 4 * scipy.fft.ifft2(longer, workers=-1).real
+        total[:] = sum(down * sum(across * fine[row, col] for col, across in taps[1]) for row, down in taps[0])
+        total *= inside
+    return out
+
+
+def _kernel(t):
+    return np.i0(SHAPE * np.sqrt(np.maximum(1 - (2 * t / TAPS) ** 2, 0))) * (np.abs(t) <= TAPS / 2)
+
+
+def _kernel_transform(f):
+    """Transform of `_kernel` at f [cycle per fine sample], below 1/4, where the root is real."""
+    root = np.sqrt(SHAPE**2 - (np.pi * TAPS * f) ** 2)
+    return TAPS * np.sinh(root) / root
+
+
+def falloff_gain(camera, scene) -> np.ndarray:
+    """Light of every pixel over that on the axis, (rows, cols): lens, microlenses and pixels. Raises OutOfRange."""
+    optics, sensor, shape, pitch = camera.optics, camera.sensor, scene.shape, camera.sensor.pixel_pitch
+    from_axis = tuple(move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True))
+    gain = np.ones(shape)
+    if optics.relative_illumination == "cos4":
+        gain = (1 + _tangent(camera, scene) ** 2) ** -2
+    elif optics.relative_illumination != "none":
+        gain = relative_illumination(optics.relative_illumination, shape, pitch, optics.image_distance,
+                                     displacement=from_axis)
+    if sensor.microlens is not None:
+        gain = gain * microlens_gain(sensor.microlens, shape, pitch, optics.image_distance, from_axis)
+    if sensor.vignetting is not None:
+        gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
+    return gain
+
+
+def _tangent(camera, scene):
+    """Tangent of the angle from the axis at which every pixel's light comes, (rows, cols)."""
+    optics, sensor = camera.optics, camera.sensor
+    slope = sensor.pixel_pitch / optics.image_distance
+    if scene.fov:
+        slope = 2 * np.tan(scene.fov / 2) * scene.samples_per_pixel / scene.samples[1]
+    y, x = (np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, sensor.displacement, strict=True))
+    if optics.distortion is None:
+        return np.hypot(y[:, None], x) * slope
+    model = framed(optics.distortion, scene.shape, sensor.pixel_pitch)
+    step = sensor.pixel_pitch / model.radius
+    u, v = ideal(model, x * step, y[:, None] * step)
+    return np.hypot(*model.normalised(u, v)) if isinstance(model, Framed) else np.hypot(u, v) / step * slope
+
+
+def pixel_places(camera, scene) -> list[np.ndarray]:
+    """Middles of the light-sensitive parts of the pixels' rows and columns among the scene's samples [sample].
+
+    The frame is in the middle of the samples; whole pixels of samples begin on whole samples.
+    """
+    ratio, places = float(scene.samples_per_pixel), []
+    for n, pixels, move in zip(scene.samples, scene.shape, camera.sensor.displacement, strict=True):
+        start = (n - pixels * ratio) / 2
+        start = np.floor(start) if ratio.is_integer() else max(start, 0.0)
+        places.append(start + ratio * (np.arange(pixels) + 0.5 + move) - 0.5)
+    return places
+
+
+def plain_rates(channels, camera, scene) -> np.ndarray:
+    """Channels (C, rows, cols) at the pixels without any blur: samples are even over their cells."""
+    out = channels
+    widths = [side / camera.sensor.pixel_pitch * scene.samples_per_pixel for side in camera.sensor.aperture]
+    for axis, (places, width) in enumerate(zip(pixel_places(camera, scene), widths, strict=True), 1):
+        n, margin = scene.samples[axis - 1], scene.margin
+        low, high = places - width / 2, places + width / 2
+        more = max(0, ceil(-low.min()), ceil(high.max() - n)) + 1
+        cells = np.arange(-more, n + more)
+        share = np.clip(np.minimum(high[:, None], cells + 0.5) - np.maximum(low[:, None], cells - 0.5), 0, None) / width
+        short = max(0, more - margin)
+        pads = [(0, 0)] * 3
+        pads[axis] = (short, short)
+        kept = np.pad(out, pads, mode=MODES[scene.border])
+        kept = np.take(kept, cells + margin + short, axis)
+        out = np.moveaxis(np.tensordot(share, kept, (1, axis)), 0, axis)
+    return out

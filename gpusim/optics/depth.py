@@ -1,0 +1,272 @@
+"""From a depth map to kernels and layers: what is out of focus by how much, and what hides what.
+
+Within a surface, each point's light is spread by the kernel of its own distance. Kernels are computed for a few
+distances, spaced so that cubic interpolation between them keeps a stated error; a pixel's light is shared among the
+four nearest. That leaves out that near things hide far ones: where the circle of confusion jumps by more than about a
+pixel, it errs by percents. There the picture is cut into layers, each blurred together with its coverage and laid over
+what is farther (Barsky and Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics", 2008).
+Cuts are placed where they remove the most predicted error.
+"""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import scipy
+from scipy.special import jv
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.optics import Optics
+from gpusim.domain.scene import Layer, Scene
+from gpusim.domain.spectrum import Spectrum
+from gpusim.optics.edges import MOST_LAYERS, Edges
+
+MOST_KERNELS = 64
+TOLERANCE = 1e-4  # relative root mean square error where none is asked for
+
+
+def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength: float = 550.0):
+    """Signed diameter of the blur disc of a point at `distance` [m]; > 0 for points beyond the plane in focus.
+
+    pitch: of the pixels [m], for a result in pixels; in metres without it. distance: any shape. wavelength: [nm], of
+    the defocus if that depends on it. Thin lens of aperture f / N: c = (f / N) s (1 / d0 - 1 / d) for the plane d0 in
+    focus, s the image distance, so c is linear in dioptres; a displaced sensor adds displacement / (N s / f).
+    Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
+    """
+    diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
+    return (optics.displacement(1.0) * diopters + _defocus(optics, wavelength)) / (optics.working_f_number * pitch)
+
+
+def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
+    """Distance [m] whose `circle_of_confusion` is `confusion`; infinite or negative beyond what has an image."""
+    shift = np.asarray(confusion, np.float64) * (optics.working_f_number * pitch) - _defocus(optics, wavelength)
+    with np.errstate(divide="ignore"):
+        return 1 / (1 / optics.object_distance - shift / optics.image_distance**2)
+
+
+def _defocus(optics, wavelength):
+    shift = optics.defocus
+    return float(shift.at(np.array([wavelength]), outside=None)[0]) if isinstance(shift, Spectrum) else float(shift)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthPlan:
+    """How a picture with depth is blurred.
+
+    distances: at which kernels are computed [m], increasing, shape (P,). kernels: their signed circles of confusion
+    [pixel], shape (P,). confusion: that of every pixel, shape (rows, cols). layer: of each pixel, 0 the nearest,
+    uint8 (rows, cols). layers: how many. model: in words. predicted: relative root mean square errors, of this choice
+    and of the other. sheets: content, coverage and circles of confusion of each layer, where the scene gives them.
+    """
+
+    distances: np.ndarray
+    kernels: np.ndarray
+    confusion: np.ndarray
+    layer: np.ndarray
+    layers: int
+    model: str
+    predicted: dict = field(default_factory=dict)
+    sheets: tuple = ()
+
+    @property
+    def reach(self) -> float:
+        """Radius of the largest circle of confusion [pixel]."""
+        return float(np.abs(self.kernels).max() / 2)
+
+    def sheet(self, layer: int, content):
+        """Content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
+
+        content: the picture's, for what follows from it. A layer that the scene gives is as given.
+
+        What a nearer layer hides is unknown from one picture: the nearest pixel that is not of a nearer layer goes on
+        there. The farthest layer so covers everything; another one ends behind a nearer one where a farther is closer.
+        """
+        if self.sheets:
+            return self.sheets[layer]
+        nearer = self.layer < layer
+        if not nearer.any():
+            return content, self.layer == layer, self.confusion
+        rows, cols = scipy.ndimage.distance_transform_edt(nearer, return_distances=False, return_indices=True)
+        return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
+
+    def shares(self, coverage, confusion):
+        """Kernels of a layer and each pixel's share in them: pairs (kernel, share float32 (rows, cols)).
+
+        coverage, confusion: what `sheet` gave. The shares of a pixel add up to its coverage.
+        """
+        there = coverage > 0
+        first, count = _stencil(self.kernels, confusion)
+        for kernel in range(len(self.kernels)):
+            some = there & (first <= kernel) & (kernel < first + count)
+            if not some.any():
+                continue
+            at, start = confusion[some], first[some]
+            weight = np.array(coverage[some], np.float64)
+            for other in (start + i for i in range(count)):  # Lagrange's polynomials
+                apart = self.kernels[kernel] - self.kernels[other]
+                weight *= np.where(other == kernel, 1, (at - self.kernels[other]) / np.where(apart == 0, 1, apart))
+            share = np.zeros(confusion.shape, np.float32)
+            share[some] = weight
+            if share.any():
+                yield kernel, share
+
+
+def flattened(scene: Scene):
+    """Content and depth of the picture that a scene with layers shows, where each sample is that which covers half.
+
+    Of content that can be read on the host, where the content is then.
+    """
+    content, depth = scene.content.on_host(), scene.depth
+    for layer in reversed(scene.layers):
+        front = np.asarray(layer.alpha) >= 0.5
+        depth = np.where(front, layer.depth, depth)  # type: ignore[arg-type]  # Scene has checked
+        content = content.behind(layer.content.on_host(), front)
+    return content, depth
+
+
+def plan_depth(optics: Optics, pitch: float, depth, brightness, tolerance: float | None = None,
+               layered: bool | None = None, scene: Scene | None = None) -> DepthPlan:
+    """Choose kernels and layers for one picture.
+
+    pitch: of the pixels [m]. depth: distance of every pixel [m], shape (rows, cols). brightness: what the sensor would
+    see of every pixel without blur, any unit, same shape: where it is even, blur does not matter.
+    tolerance: relative root mean square error that is asked for; kernels take a quarter of it. layered: whether to use
+    layers, instead of deciding it. scene: with layers of its own, of which depth and brightness are `flattened`.
+    Raises BadData, OutOfRange (a distance without an image, too many kernels).
+    """
+    tolerance = tolerance or TOLERANCE
+    depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
+    confusion = checked_confusion(optics, pitch, depth, light.shape)
+    sheets = _sheets(scene, optics, pitch) if scene is not None and scene.layers else ()
+    every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets]) if sheets else confusion
+    low, high = float(every.min()), float(every.max())
+    power = float(np.mean(light**2)) or 1.0
+    contrast = np.sqrt(sum(float(np.mean(np.diff(light, axis=axis) ** 2)) for axis in (0, 1) if light.shape[axis] > 1)
+                       / power)
+    q = 550e-9 * optics.working_f_number / pitch
+    distinct = np.unique(every)
+    nodes = distinct if len(distinct) <= 4 else kernel_nodes(low, high, contrast, tolerance / 4, q)
+    nodes = distinct if len(distinct) <= len(nodes) else nodes
+    if len(nodes) > MOST_KERNELS:
+        raise OutOfRange("depth", f"circles of confusion of {low:.4g} .. {high:.4g} pixels, which need {len(nodes)} "
+                         f"kernels for an error of {tolerance:.2g}",
+                         f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth")
+    edges = Edges.of(confusion, light)
+    plain = edges.plain(light, power)
+    span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
+    predicted = {"depth, kernels between those computed": float(contrast * _between(nodes, every, q)),
+                 "depth, slopes of surfaces": edges.slopes(light, power)}
+    if sheets:
+        predicted |= {"depth, in layers that are given": edges.given(light, power), "depth, if without layers": plain}
+        return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, np.zeros(light.shape, np.uint8),
+                         len(sheets), f"{len(sheets)} layers that are given; {span}", predicted, sheets)
+    cuts = edges.cuts(low, high, tolerance**2 * power * light.size)
+    in_layers = edges.layered(cuts, light, power)
+    if layered is None:
+        layered = plain > tolerance and in_layers < plain
+    cuts = cuts if layered else np.empty(0)
+    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)  # some may have no pixel
+    layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
+    if layered:
+        model = f"{count} layers by depth; {span}"
+        predicted |= {"depth, in layers (what they hide is continued)": in_layers, "depth, if without layers": plain}
+    else:
+        model = f"by depth, without layers; {span}"
+        predicted |= {"depth, occlusion left out": plain, "depth, if in layers": in_layers}
+    return DepthPlan(distance_of(optics, nodes, pitch), nodes, confusion, layer, count, model, predicted)
+
+
+def _sheets(scene, optics, pitch):
+    """The layers that a scene gives, the background last, as `DepthPlan.sheet` returns them. Raises OutOfRange."""
+    if len(scene.layers) >= MOST_LAYERS:
+        raise OutOfRange("scene.layers", len(scene.layers), f"up to {MOST_LAYERS - 1}")
+    shape = np.shape(scene.depth)
+    behind = Layer(scene.content, np.ones(shape, np.float32), scene.depth)
+    return tuple((layer.content, np.asarray(layer.alpha), checked_confusion(
+        optics, pitch, np.broadcast_to(layer.depth, shape).astype(np.float64), shape))
+        for layer in (*scene.layers, behind))
+
+
+def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
+    """Circle of confusion of every pixel [pixel], of a depth map that has been checked. Raises BadData, OutOfRange."""
+    if depth.shape != tuple(shape):
+        raise BadData(f"depth {depth.shape} does not match the scene {tuple(shape)}")
+    if not np.isfinite(depth).all():
+        raise BadData(f"depth: {np.count_nonzero(~np.isfinite(depth))} values are NaN or infinite; "
+                      "give the sky a large distance, such as 1e6 m")
+    if not depth.min() > optics.focal_length:
+        raise OutOfRange("depth", f"{depth.min():.4g} m", f"more than the focal length ({optics.focal_length:.4g} m): "
+                         "nearer points have no image")
+    return circle_of_confusion(optics, depth, pitch)
+
+
+def kernel_nodes(low: float, high: float, contrast: float, tolerance: float, q: float = 1.0) -> np.ndarray:
+    """Circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
+
+    Kernels are as far apart as the fourth root of the fourth derivative allows; one is enough where the first is small.
+    contrast: root mean square difference of neighbouring pixels over that of the picture. q: wavelength times f-number
+    over pitch.
+    """
+    grid = np.linspace(low, high, 16 * int(np.ceil(high - low)) + 17)
+    one = grid[len(grid) // 2 : len(grid) // 2 + 1]
+    if contrast * _between(one, grid, q) <= tolerance:
+        return one
+    steps = np.append(0, np.cumsum(np.diff(grid) * _derivative(4, grid[1:], q) ** 0.25))
+    count = 4
+    while True:
+        nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
+        if count > MOST_KERNELS or contrast * _between(nodes, grid, q) <= tolerance:
+            return nodes
+        count += 1 + count // 8
+
+
+def _stencil(nodes, confusion):
+    """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
+    count = min(4, len(nodes))
+    return np.clip(np.searchsorted(nodes, confusion, "right") - count // 2, 0, len(nodes) - count), count
+
+
+def _between(nodes, confusion, q):
+    """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
+
+    It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
+    times the first.
+    """
+    first, count = _stencil(nodes, confusion)
+    error = _derivative(count, confusion, q)
+    for i in range(count):
+        error = error * (confusion - nodes[first + i]) / (i + 1)
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _derivative(order, confusion, q):
+    """Root of the integral over frequency of P(f) |d^n T / dc^n|^2 at circles of confusion c [pixel], n = 1 or 4.
+
+    T is folded as in `optics.pupil`, O = 2 J1(v) / v with v = pi c f (1 - s), s = f over the cut-off, times what
+    diffraction without defocus and the pixel leave (Stokseth, J. Opt. Soc. Am. 59, 1314 (1969)). With F_n =
+    J_n(v) / v^n, whose derivative is -v F_(n+1), O' = -2 v F_2 and the fourth is 6 F_3 - 12 v^2 F_4 + 2 v^4 F_5.
+    P = 1 / (4 sin^2 + 4 sin^2) is the power of white differences between neighbours.
+    """
+    known, values = _derivative_table(order, round(float(np.clip(q, 0.2, 3)), 2))
+    return np.exp(np.interp(np.log(1 + np.abs(confusion)), known, values))
+
+
+@lru_cache(maxsize=8)
+def _derivative_table(order, q):
+    known = np.linspace(np.log(1.05), np.log(1 + 512), 64)
+    f = (np.arange(20) + 0.5) / 40
+    power = 1 / (4 * np.sin(np.pi * f[:, None]) ** 2 + 4 * np.sin(np.pi * f) ** 2)
+    reach = int(np.ceil(1 / q + 0.5))
+    all_f = (np.arange(-reach, reach + 1)[:, None] + f).ravel()
+    radius = np.hypot(all_f[:, None], all_f)
+    s = np.minimum(radius * q, 1)
+    passed = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(all_f[:, None]) * np.sinc(all_f)
+    rate = np.pi * radius * (1 - s)
+    v = np.arange(0.05, 512 * rate.max() + 0.1, 0.05)
+    derivative = -2 * jv(2, v) / v if order == 1 else 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
+    values = []
+    for confusion in np.expm1(known):
+        some = passed * rate**order * np.interp(confusion * rate, v, derivative)
+        folded = some.reshape(2 * reach + 1, len(f), 2 * reach + 1, len(f)).sum(axis=(0, 2))
+        values.append(0.5 * np.log(np.mean(power * folded**2)))
+    return known, np.array(values)

@@ -1,0 +1,346 @@
+"""The world outside the frame: what its far parts add to the blur, and how much of it takes part.
+
+A transform repeats itself: beyond its period is not what the border rule says but the picture again. How much light
+that makes wrong is told without any lens but its tail. The rim of a pupil of any shape and wavefront spreads, in the
+mean over directions and rings, the energy
+
+    perimeter / (2 pi^3 area) q / r^3   per square sample at the distance r
+
+(the cusp of the transfer function at 0, whose slope is twice the mean width of the pupil over its area, transformed;
+Cauchy's mean width of an outline is its perimeter over pi). For a circle that is q / (pi^3 r^3). From far away such
+light is smooth, so a coarse grid is enough for it. Straight blades throw theirs along their normals, as r^-2.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from math import ceil, prod, sqrt
+from typing import Any
+
+import numpy as np
+import scipy
+from scipy.special import j1
+
+from gpusim.optics.windows import MOST_STEPS, Windows
+
+BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
+# Samples of a transform that is made longer for a tolerance: as many as these, or so many times the frame's
+MOST_SAMPLES, MOST_TIMES = 2**22, 14
+LINE_CELLS = 12  # of the coarse grid along a reach where light goes along lines
+CELLS, LEAST_CELLS = 4, 64  # of the coarse grid along a reach, and a period: keep the predicted error to a tenth
+PROBED = 128  # samples along an axis at which it is predicted
+# A world that repeats itself after some periods differs from one without end by powers of its width: the light of a
+# picture that goes on is alike on both sides of a pixel but for its place between them, that on black falls as r^-3
+POWERS = {"edge": (2, 3), "zero": (3, 5), "reflect": ()}
+# A blur changes the root mean square of a frame whose maximum is so many times that, or that is small, or whose
+# neighbours are less alike: mean product over mean square
+SPIKY, FEW, ALIKE = 10.0, 2**14, 0.8
+FARTHEST = 8  # times the distance from which on light counts as from afar, where it ends
+WINDOWS, WINDOW, INNER = 12, 128, 48  # their number; samples of a side, and of that of the part that stands for others
+FREQUENCIES = tuple(np.fft.rfftfreq(WINDOW))  # of windows, along both axes [1/sample]
+GEOMETRIC = 0.7  # part of the reach from which on a disc of light takes the place of the tail's series
+
+
+def rule_of(border: str) -> str:
+    """The rule by which what is outermost goes on; that of a scene's own surroundings is "edge"."""
+    return "edge" if border == "scene" else border
+
+
+def border_indices(at, n: int, border: str) -> np.ndarray:
+    """Which of n samples each place of an axis shows, those beyond as the border says; "zero": the outermost."""
+    if border == "reflect":
+        return np.minimum(at % (2 * n), (-1 - at) % (2 * n))
+    return np.clip(at, 0, n - 1)
+
+
+def unseen(image, period, border: str, cell: float, tail: float, disc: float = 0.0, times=(1, 3, 5),
+           soft: float = 1.0, rays: tuple[float, ...] = (), straight: float = 0.0) -> np.ndarray:
+    """What a world without end adds to what a transform sees, at the cells of a coarse grid.
+
+    image: light of the frame, or of frame and margin, shape (rows, cols). period: of the transform, the image in its
+    middle [sample]. border: "zero", "edge" or "reflect". cell: about the side of a cell [sample]. tail: energy of a
+    point per square sample times r^3. disc: radius of an even disc of energy 1 beside it [sample]; none of 0.
+    times: periods that the worlds span from which the one without end is extrapolated, odd. soft: cells within which
+    the tail is softened: steps ring on the grid, by some 1e-6 at 1, and not at 2. rays: angles of the lines, through a
+    point, along which a part `straight` of its tail goes, from the direction of the columns on [rad].
+    Returns the cells of one period; `at_samples` interpolates between them.
+    """
+    powers = POWERS[border]
+    times = times[-len(powers) - 1 :]
+    cells = [max(1, round(length / cell)) for length in period]
+    steps = [length / count for length, count in zip(period, cells, strict=True)]
+
+    widest = max(times)
+    down, across = (_means(n, length, count, border, widest, image.dtype)
+                    for n, length, count in zip(image.shape, period, cells, strict=True))
+    world = (across @ (down @ image).T).T
+
+    def blurred(wide):
+        """The middle period of a world that repeats itself after `wide` of them."""
+        around, middle = ([periods // 2 * count for count in cells] for periods in (widest - wide + 1, wide))
+        part = world[tuple(slice(edge, edge + wide * count) for edge, count in zip(around, cells, strict=True))]
+        kernel = _kernel(tuple(wide * count for count in cells), tuple(steps), tail, disc, soft * max(steps), rays,
+                         straight)
+        spectrum = scipy.fft.rfft2(part) * kernel.astype(part.dtype)
+        y, x = middle
+        rows = scipy.fft.ifft(spectrum, axis=0)[y : y + cells[0]]  # the others are not asked for
+        return scipy.fft.irfft(rows, part.shape[1])[:, x : x + cells[1]]
+
+    worlds = {wide: blurred(wide) for wide in {1, *times}}
+    columns = np.array(times, float)[:, None] ** -np.array((0.0, *powers))
+    weights = np.linalg.solve(columns.T, np.eye(len(times))[0])
+    return sum(weight * worlds[wide] for weight, wide in zip(weights, times, strict=True)) - worlds[1]
+
+
+def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
+    """What `unseen` gave for an image of `shape`, at its samples `rows` x `cols`, which may lie around it."""
+    down, across = (_between(count, (((length - n) // 2 + at + 0.5) * count / length - 0.5).tobytes())
+                    for n, length, at, count in zip(shape, period, (rows, cols), coarse.shape, strict=True))
+    return (across @ (down @ scipy.ndimage.spline_filter(coarse, mode="grid-wrap")).T).T
+
+
+@lru_cache(maxsize=32)
+def _between(count, places):
+    """Weights of the coefficients of a cubic spline through `count` cells, which repeat themselves, at places."""
+    places = np.frombuffer(places)[None]
+    return scipy.sparse.csr_array(np.stack([
+        scipy.ndimage.map_coordinates(cell, places, order=3, mode="grid-wrap", prefilter=False)
+        for cell in np.eye(count)], axis=1))
+
+
+def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
+    """Root mean square and maximum of the frame as a lens shows it.
+
+    deviation: of the Gaussian that stands for the lens where a few pixels tell it all [sample]. border: the scene's.
+    """
+    inside = _inside(image, margin)
+    level, highest = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size), inside.max(initial=0)
+    is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
+    if is_smooth or not deviation or not level > 0:
+        return float(level), float(highest)
+    blurred = _shown(inside, deviation, "constant" if border == "zero" else "reflect")
+    return sqrt(np.square(blurred, dtype=np.float64).mean()), float(blurred.max())
+
+
+def _likeness(image):
+    """Mean product of neighbours along some rows and columns, the least of both, over the mean square."""
+    some = image[:: image.shape[0] // PROBED + 1], image.T[:: image.shape[1] // PROBED + 1]
+    return min(float(np.vdot(lines[:, 1:], lines[:, :-1]) / max(np.vdot(lines, lines), 1e-300)) for lines in some)
+
+
+def _shown(image, deviation, mode):
+    """The image blurred by a Gaussian and integrated over pixels: a point gives no pixel more than a lens does.
+
+    mode: of `scipy.ndimage`, for what is around it.
+    """
+    edges = np.arange(ceil(4 * deviation) + 1) + 0.5
+    inside = scipy.special.erf(edges / (sqrt(2) * deviation))
+    half = np.diff(inside) / 2
+    weights = np.concatenate([half[::-1], inside[:1], half]) / inside[-1]
+    return scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(image, weights, 0, mode=mode), weights, 1, mode=mode)
+
+
+def spread_afar(image, border: str, margin: int, tail: float, distance: float) -> np.ndarray:
+    """What the light farther than `distance` [sample] adds to the frame, less what goes there, on a coarse grid.
+
+    image: light of the frame, or of frame and margin, shape (rows, cols). border: "zero", "edge" or "reflect". tail:
+    energy of a point per square sample times r^3.
+    """
+    cell, reach = distance / CELLS, int(FARTHEST * CELLS)
+    modes: dict[str, Any] = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
+    cells = [max(1, round(n / cell)) for n in image.shape]
+    down, across = (_means(n, n, count, "edge", 1, image.dtype) for n, count in zip(image.shape, cells, strict=True))
+    coarse = (across @ (down @ image).T).T.astype(np.float64)
+    world = np.pad(coarse, reach, mode=modes[border])
+    at = np.arange(-reach, reach + 1)
+    radius = np.hypot(at[:, None] * image.shape[0] / cells[0], at * image.shape[1] / cells[1])
+    area = prod(image.shape) / prod(cells)
+    kernel = np.where(radius > distance, tail * area / np.maximum(radius, distance) ** 3, 0)
+    light = scipy.signal.oaconvolve(world, kernel, "valid") - kernel.sum() * coarse
+    rows, cols = (round(margin / n * count) for n, count in zip(image.shape, cells, strict=True))
+    return light[rows : cells[0] - rows, cols : cells[1] - cols]
+
+
+@dataclass(frozen=True, eq=False)
+class Outside:
+    """What is known of a scene when it is asked how much of the world around it takes part in the blur.
+
+    image: light of the frame, or of frame and margin, without the highlights that are added one by one, shape (rows,
+    cols). border, margin: the scene's. tail: energy of a point per square sample times r^3. spread: radius within which
+    its rays meet the image [sample]. level: root mean square of the frame. noise: variance of the read noise over the
+    electrons at that level. missing: light that every sample is known to lack. around: samples on each side whose light
+    stands for what a lens mixes. rays, straight: lines along which a part of the tail goes, see `unseen`.
+    """
+
+    image: np.ndarray
+    border: str
+    margin: int
+    tail: float
+    spread: float
+    level: float
+    noise: float
+    missing: float = 0.0
+    around: int = 0
+    rays: tuple[float, ...] = ()
+    straight: float = 0.0
+    deviation: float = 0.0
+    is_moved: bool = False
+
+    @cached_property
+    def is_spiky(self) -> bool:
+        """Whether few points are far brighter than the frame."""
+        return bool(self.image.max(initial=0) > SPIKY * self.level)
+
+    def error(self, period, reach: float) -> tuple[float, float, float]:
+        """Relative RMS error from what a transform does not see; its 99.9 % quantile and maximum in noise.
+
+        period: of the transform. reach: samples around the image that are as the border says. The last two figures
+        times the root of the electrons at the level are in sigma.
+        Each point of the rim spreads light about where its ray lands, a distance b away in the mean over the rim: the
+        tail is (r^2 + b^2) / (r (r^2 - b^2)^2) in place of r^-3. Where b comes near the reach, a disc stands for what
+        is within.
+        """
+        if not (self.level > 0 and self.tail):
+            return 0.0, 0.0, 0.0
+        light = self.image
+        near = min(self.spread / reach, GEOMETRIC) ** 2
+        disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
+        cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
+        coarse = unseen(light, period, rule_of(self.border), cell, self.tail * (1 + near) / (1 - near) ** 2, disc,
+                        rays=self.rays, straight=self.straight)
+        rows, cols, sigma = self._probed
+        error = np.abs(at_samples(coarse, light.shape, period, rows, cols) + self.missing) / self.level
+        sigmas = error / sigma
+        return float(np.sqrt((error**2).mean())), float(np.quantile(sigmas, 0.999)), float(sigmas.max())
+
+    def brighter(self, period) -> float:
+        """Root mean square of what a transform of this period sees, over the frame's; 1 where it is darker."""
+        if self.border == "zero" or not self.level > 0:
+            return 1.0
+        rows, cols = (np.bincount(border_indices(np.arange(length) - (length - n) // 2, n, rule_of(self.border)),
+                                  minlength=n) for n, length in zip(self.image.shape, period, strict=True))
+        return max(sqrt(rows @ self._squares @ cols / prod(period)) / self.level, 1.0)
+
+    def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
+        """Windows of the frame, and their light, that of a dark world in it, float32 (n, WINDOW, WINDOW).
+
+        inner: samples of a side of the part that stands for others.
+        """
+        if inner not in self._windows:
+            self._windows[inner] = self._made(inner)
+        return self._windows[inner]
+
+    @cached_property
+    def _windows(self) -> dict[int, tuple[Windows, np.ndarray]]:
+        return {}
+
+    def _made(self, inner):
+        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, side=WINDOW, rim=(WINDOW - inner) // 2,
+                             beside=1)
+        rows, cols = self.image.shape
+        y, x = (border_indices(at, n, rule_of(self.border)) for at, n in ((windows.rows, rows), (windows.cols, cols)))
+        light = np.stack([self.image[np.ix_(*at)] for at in zip(y, x, strict=True)]).astype(np.float32)
+        if self.border == "zero":
+            light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
+        return windows, light
+
+    @cached_property
+    def spectrum(self) -> tuple[np.ndarray, float]:
+        """Mean squares of the frame's light at FREQUENCIES along both axes, and of what is of longer waves."""
+        windows, light = self.windows()
+        fade = scipy.signal.windows.hann(WINDOW, sym=False).astype(np.float32)
+        fade = np.multiply.outer(fade, fade)
+        light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade
+        power = np.tensordot(windows.weight, np.abs(scipy.fft.rfft2(light)) ** 2, 1)
+        power[:, 1:-1] *= 2  # for those of the other half
+        power[1 : WINDOW // 2] += power[: WINDOW // 2 : -1]
+        power = power[: WINDOW // 2 + 1] / (WINDOW**2 * np.square(fade).sum())
+        inside = _inside(self.image, self.margin)
+        some = inside[:: max(1, round(inside.size / MOST_STEPS))]  # `level` is of what a lens leaves of it
+        return power, max(float(np.var(some, dtype=np.float64)) - float(power.sum()), 0.0)
+
+    @cached_property
+    def darkest(self) -> tuple[float, float]:
+        """99.9 % quantile and maximum over the frame of 1 / `sigmas`."""
+        least = 1 / self.sigmas
+        return float(np.quantile(least, 0.999)), float(least.max())
+
+    @cached_property
+    def _squares(self):
+        return np.square(self.image, dtype=np.float64)
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations of the noise where the error is told, over the root of the electrons at the level."""
+        return self._probed[2]
+
+    @cached_property
+    def _probed(self):
+        """Rows and columns where the error is told; the root of light and noise over the level where they cross."""
+        light, margin = self.image, self.margin
+        rows, cols = (np.unique(np.linspace(margin, n - margin - 1, min(n - 2 * margin, PROBED)).astype(int))
+                      for n in light.shape)
+        beside = np.arange(-self.around, self.around + 1)  # the light that a lens shows there
+        y, x = (np.clip(at[:, None] + beside, 0, n - 1) for at, n in zip((rows, cols), light.shape, strict=True))
+        local = light[y].mean(axis=1)[:, x].mean(axis=2)
+        if self.border == "zero" and self.is_moved:
+            local = local * 0
+        elif self.border == "zero" and self.deviation:  # a lens mixes the black world in
+            local = local * np.multiply.outer(*(_inner_share(at, n, self.deviation)
+                                                for at, n in zip((rows, cols), light.shape, strict=True)))
+        return rows, cols, np.sqrt(np.maximum(local / self.level, 0) + self.noise)
+
+
+def _inner_share(at, n, deviation):
+    """Part of a Gaussian about each place that lies within n samples."""
+    return np.diff(scipy.special.ndtr((np.array([[-0.5], [n - 0.5]]) - at) / deviation), axis=0)[0]
+
+
+def most_reach(shape, longest: int) -> int:
+    """Surroundings beyond which a transform is not made longer [sample]; longest: side of a transform."""
+    rows, cols = shape
+    samples = max(MOST_SAMPLES, MOST_TIMES * rows * cols)
+    return max(0, min(int((sqrt((rows - cols) ** 2 + 4 * samples) - rows - cols) / 4), (longest - max(shape)) // 2))
+
+
+def _inside(image, margin):
+    return image[margin : image.shape[0] - margin, margin : image.shape[1] - margin]
+
+
+@lru_cache(maxsize=32)
+def _means(n, period, cells, border, wide, dtype):
+    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of this type."""
+    length, step = wide * period, period / cells
+    at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
+    source = border_indices(at, n, border)
+    light = (at == source) * 1.0 if border == "zero" else np.ones(length)
+    start = np.arange(length) / step  # a sample is in one cell, or partly in the next
+    first = np.minimum((start * (1 + 1e-12)).astype(int), wide * cells - 1)
+    share = np.clip((first + 1 - start) * step, 0, 1)
+    entries = np.concatenate([light * share, light * (1 - share)]) / step
+    places = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)]), np.concatenate([source, source])
+    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
+
+
+@lru_cache(maxsize=32)
+def _kernel(cells, steps, tail, disc, soft, rays, straight):
+    """Transform of tail r^-3, softened within `soft`, and of a disc, at the frequencies of a world of cells.
+
+    (r^2 + a^2)^(-3/2) has the transform 2 pi / a exp(-2 pi a f); of two such the terms in a^2 / r^5 cancel. What goes
+    along a line is 1 / (r^2 + a^2), of transform pi / a exp(-2 pi a |f|), f the frequency along it, likewise; all lines
+    together have the energy of the tail beyond any r.
+    """
+    fy, fx = (frequencies(count) / step for frequencies, count, step in
+              zip((np.fft.fftfreq, np.fft.rfftfreq), cells, steps, strict=True))
+    f = np.hypot(fy[:, None], fx)
+    kernel = tail * (1 - straight) * 2 * np.pi * _softened(soft, f)
+    for angle in rays:
+        along = np.abs(fy[:, None] * np.sin(angle) + fx * np.cos(angle))
+        kernel = kernel + tail * straight * np.pi**2 / len(rays) * _softened(soft, along)
+    if disc:
+        v = np.maximum(2 * np.pi * disc * f, 1e-9)
+        kernel = kernel + 2 * j1(v) / v * np.exp(-((np.pi * soft * f) ** 2))
+    return kernel
+
+
+def _softened(soft, f):
+    return (4 / 3 * np.exp(-2 * np.pi * soft * f) - np.exp(-4 * np.pi * soft * f) / 6) / soft

@@ -1,0 +1,288 @@
+"""From scene samples to pixels: weights that integrate a finer grid over each pixel, and what the samples leave out.
+
+Each blurred sample is the integral of the irradiance over its own cell, so that the cumulative integral along an axis
+is known exactly at the cells' edges. Between them it is interpolated by a local polynomial; a pixel is the difference
+of the cumulative at its two edges. Neighbours at full fill share an edge: what one loses the other gains, and where
+edges fall on cells' edges (whole ratios at full fill) nothing is interpolated.
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from math import ceil
+
+import numpy as np
+
+from gpusim.domain.content import Content
+from gpusim.optics.lens import wavelength_nodes
+from gpusim.optics.outside import border_indices
+from gpusim.optics.planned_tables import Tables
+
+NODES = 6  # of the polynomial of the cumulative, where a blur has made it smooth
+AREA = 2  # of a polynomial that takes the picture as constant over each cell
+SPARE = NODES // 2  # [sample] around the frame that let its outermost pixels interpolate as all others do
+SAMPLED_PIXELS = 16  # along an axis, whose places among the samples stand for all
+RESOLUTION = 12  # frequencies to a cycle per sample, or to 2 / q cycles, at which the sampling error is predicted
+WIDEST = 8  # [cycle/sample] of these frequencies at most
+OPTICS = 6  # wavelengths between whose optics those of all are interpolated in that prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Taps:
+    """Weights along one axis: pixel i is the sum over t of  weights[i, t] sample[start[i] + t].
+
+    start: int32 (pixels,). weights: float64 (pixels, taps), each row sums to 1: a pixel is a mean over its aperture.
+    centres: of the pixels among the samples, sample 0 being 0 .. 1, (pixels,).
+    """
+
+    start: np.ndarray
+    weights: np.ndarray
+    centres: np.ndarray
+
+
+def frame_start(samples: int, pixels: int, ratio: float) -> float:
+    """Where the first pixel's edge lies among `samples`: the frame is in the middle, whole ratios on whole samples."""
+    start = (samples - pixels * ratio) / 2
+    return start // 1 if float(ratio).is_integer() else max(start, 0.0)
+
+
+def pixel_taps(samples: int, pixels: int, ratio: float, aperture: float, start: float, nodes: int = NODES,
+               displacement: float = 0.0) -> Taps:
+    """Weights of `samples` cells in `pixels` pixels.
+
+    ratio: samples per pixel. aperture: width of the light-sensitive part [pixel]. start: of the first pixel's edge
+    [sample]. nodes: of the interpolating polynomial, NODES or AREA. displacement: of the middle of the light-sensitive
+    part from the pixel's [pixel]. What lies beyond the samples is dark.
+    """
+    centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
+    first, below = _cumulative(centres - ratio * aperture / 2, samples, nodes)
+    last, above = _cumulative(centres + ratio * aperture / 2, samples, nodes)
+    # the cumulative at node k holds every sample before k: a sample's weight is the sum of those of the nodes behind it
+    count = int((last - first).max()) + below.shape[1] - 1
+    at = first[:, None] + np.arange(count)
+    weights = (_behind(at, last, above) - _behind(at, first, below)) / (ratio * aperture)
+    begin = np.clip(first, 0, max(samples - count, 0))  # all have as many taps, and none reaches outside
+    kept = np.zeros((pixels, min(count, samples)))
+    for row, values, shift in zip(kept, weights, first - begin, strict=True):
+        row[shift:] = values[: len(row) - shift]
+    return Taps(begin.astype(np.int32), kept, centres)
+
+
+def bordered(taps: Taps, samples: int, more: int, border: str) -> Taps:
+    """Taps of `samples` from those of as many with `more` on each side, which are as `border` says."""
+    at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more
+    inside = border_indices(at, samples, border)
+    weights = np.where(at == inside, taps.weights, 0) if border == "zero" else taps.weights
+    count = int(np.ptp(inside, axis=1).max()) + 1
+    start = np.minimum(inside.min(axis=1), samples - count)
+    kept = np.zeros((len(at), count))
+    np.add.at(kept, (np.arange(len(at))[:, None], inside - start[:, None]), weights)
+    return Taps(start.astype(np.int32), kept, taps.centres - more)
+
+
+def _cumulative(edges, samples, nodes):
+    """First node and Lagrange weights of the cumulative at `edges`, from the nearest `nodes` of 0 .. samples."""
+    nodes = min(nodes, samples + 1)
+    near = np.rint(edges)
+    edges = np.clip(np.where(np.abs(edges - near) < 1e-9 * samples, near, edges), 0, samples)  # rounding of places
+    first = np.clip(np.floor(edges).astype(int) - (nodes // 2 - 1), 0, samples + 1 - nodes)
+    place, other = np.arange(nodes), ~np.eye(nodes, dtype=bool)
+    distance = (edges - first)[:, None] - place
+    factors = np.where(other, distance[:, None, :] / np.where(other, place[:, None] - place, 1), 1)
+    return first, factors.prod(axis=2)
+
+
+def _behind(at, first, weights):
+    """Sum of the weights of all nodes greater than `at`."""
+    sums = np.pad(np.cumsum(weights[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
+    return np.take_along_axis(sums, np.clip(at + 1 - first[:, None], 0, weights.shape[1]), axis=1)
+
+
+def pixel_response(taps, fy, fx) -> np.ndarray:
+    """Root mean square over the pixels of the transfer from samples to a pixel at fy, fx [cycle/sample].
+
+    taps: pair of `Taps` (rows, columns). Returns shape (Y, X).
+    """
+    along_y, along_x = (np.sqrt(_mean_response(one, f)[1]) for one, f in zip(taps, (fy, fx), strict=True))
+    return along_y[:, None] * along_x
+
+
+def sampling_error(channels: "Moments", weights, q, share, ratio: float, aperture, taps,
+                   tables: Tables | None = None, displacement=(0.0, 0.0)) -> float:
+    """Expected relative root mean square error of the mosaic because the scene is known at its samples alone.
+
+    channels: moments of the scene's channels. weights: electrons per content, shape (C, L). q: wavelength times
+    f-number over the distance of samples, (L,). share: part of the pixels that has each channel, (C,). aperture: height
+    and width of a pixel's [pixel]. taps: pair of `Taps` (rows, columns), None where each pixel is one sample.
+    tables: of the lens; None without blur. displacement: of the apertures' middles from the samples, (rows, cols)
+    [pixel], where there are no taps.
+
+    The scene is taken as regions with edges in all directions: power falls as |f|^-3 in two dimensions (Porod), up to
+    where the mean square difference of neighbouring samples puts it. A wave exp(2 pi i f x) of it is seen with the
+    transfer A(f) H(f) in place of T(f): A is 1 where samples are the scene at points, sinc where they are means over
+    their cells; H all that the samples are put through, for which waves whole cycles per sample apart are the same;
+    T optics and pixel. Samples of which each has one material cannot be means: where the material changes, A is 1.
+    The error is that of scene structure: lights of a point (highlights) are no part of it.
+    """
+    if not share @ channels.squares > 0:
+        return 0.0
+    waves = _Waves.of(2.0 if tables is None else float(q.min()))
+    optical = [None] * len(share) if tables is None else _channel_optics(
+        waves, weights * channels.means, q, ratio, tables)
+    one = np.ones(waves.all.shape)
+    responses = [(one, one)] * 2 if taps is None else [_mean_response(axis, waves.all) for axis in taps]
+    error = 0.0
+    for channel, part in enumerate(share):
+        per_jump, per_change = _unit_errors(optical[channel], waves, ratio, aperture, responses, displacement)
+        error += part * (per_jump * channels.jumps[channel] + per_change * channels.changes[channel])
+    return float(np.sqrt(error / (share @ channels.squares)))
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Moments of a content seen by C channels.
+
+    means: the mean spectrum, shape (L,). squares: mean squares of the channels (C,). jumps, changes: mean squares of
+    differences between neighbours, summed over both directions: from one material to another, and all others (C,).
+    """
+
+    means: np.ndarray
+    squares: np.ndarray
+    jumps: np.ndarray
+    changes: np.ndarray
+
+
+def moments(pairs: Content, seen, weight: np.ndarray | None = None) -> Moments:
+    """Moments of pairs of neighbouring rows, one above the other, that channels see as `seen`, (C, rows, cols).
+
+    weight: of each pair, 1 in the mean, (n,); None: all alike.
+    """
+    if weight is not None:
+        seen = seen * np.sqrt(np.repeat(weight, 2))[:, None]
+    upper, lower, ids = seen[:, ::2], seen[:, 1::2], pairs.labels
+    jumps = changes = np.zeros(len(seen))
+    for step, jumped in ((lower - upper, None if ids is None else ids[::2] != ids[1::2]),
+                         (np.diff(upper, axis=2), None if ids is None else ids[::2, 1:] != ids[::2, :-1])):
+        if step.size:
+            changed = step if jumped is None else np.where(jumped, 0, step)
+            part = _mean_squares(changed)
+            jumps, changes = jumps + (0 if jumped is None else _mean_squares(step - changed)), changes + part
+    used = pairs.used(slice(None, None, 2)) @ pairs.entry_spectra
+    return Moments(np.maximum(used, 0) / upper[0].size, _mean_squares(upper), jumps, changes)
+
+
+def _mean_squares(planes):
+    return np.einsum("cyx,cyx->c", planes, planes) / planes[0].size
+
+
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """Frequencies at which samples and pixels are followed: places + replicas, the same along both axes [cycle/sample].
+
+    places: what an optics that ends at 1 / q passes of -1/2 .. 1/2. replicas: whole numbers. step: of the places.
+    """
+
+    replicas: np.ndarray
+    places: np.ndarray
+    step: float
+
+    @classmethod
+    def of(cls, q) -> "_Waves":
+        """For optics of wavelength times f-number over sample distance `q`, the smallest."""
+        steps = RESOLUTION * max(1, ceil(q / 2))
+        places = np.arange(-(steps // 2), (steps + 1) // 2) / steps
+        widest = max(4, min(ceil(1 / q), WIDEST))
+        return cls(np.arange(-widest, widest + 1), places[np.abs(places) <= 1 / q], 1 / steps)
+
+    @cached_property
+    def all(self) -> np.ndarray:
+        """Every frequency, replica by replica."""
+        return (self.replicas[:, None] + self.places).ravel()
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """Of a scene with edges, of these frequencies along both axes."""
+        return _porod(self.all)
+
+    def folded(self, transfer) -> np.ndarray:
+        """The sum over waves whole cycles per sample apart, which give the same samples, at each of them."""
+        k, n = len(self.replicas), len(self.places)
+        return np.tile(transfer.reshape(k, n, k, n).sum(axis=(0, 2)), (k, k))
+
+
+def _channel_optics(waves, seen, q, ratio, lens_tables):
+    """Each channel's transfer function of the optics alone at the waves, (C, F, F).
+
+    seen: what each wavelength gives to each channel, (C, L). Under spiky lights some are negative, as weights of an
+    interpolation: their sizes count, so that a channel's function stays a mean of the wavelengths'.
+    """
+    share = np.abs(seen)
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+    nodes, between = wavelength_nodes(q, OPTICS)  # q goes with the wavelength
+    # tables of a grid so fine that nothing is folded onto another frequency, over their own cells' transfer
+    finer = 1 if q.min() >= 2 else len(waves.replicas)
+    n = finer * round(1 / waves.step)
+    tables = np.asarray(lens_tables.of(nodes * finer, 1.0, n, n, ratio * finer), np.float64)
+    tables = np.tensordot(share @ between, tables, 1)
+    if tables.shape[2] == n // 2 + 1:  # a quarter: the index of |frequency|
+        fold = np.minimum(np.arange(n), n - np.arange(n))
+        tables = tables[:, fold[:, None], fold]
+    else:  # a half of complex numbers: the rest are the conjugates of the opposite frequencies
+        half, back = np.ascontiguousarray(tables).view(complex), -np.arange(n) % n
+        tables = np.concatenate([half, half[:, back][..., back[n // 2 + 1 :]].conj()], axis=2)
+    index = np.rint(waves.all / waves.step).astype(int)
+    cell = np.where(np.abs(index) <= n // 2, 1 / np.sinc(index / n), 0)
+    return tables[:, index[:, None] % n, index % n] * (cell[:, None] * cell)
+
+
+def _box(f, height=1.0, width=1.0):
+    return np.sinc(height * f)[:, None] * np.sinc(width * f)
+
+
+def _porod(f):
+    """|f|^-3 over both axes, without what is flat."""
+    radius = np.hypot(f[:, None], f)
+    radius[radius == 0] = np.inf
+    return radius**-3.0
+
+
+@cache
+def _difference_power(means: bool) -> float:
+    """Mean square difference of neighbouring samples, summed over both directions, of a scene of power |f|^-3."""
+    f = (np.arange(9 * 96) + 0.5) / 96 - 4.5
+    slope = 4 * np.sin(np.pi * f) ** 2
+    return float((_porod(f) * (_box(f) ** 2 if means else 1.0) * (slope[:, None] + slope)).sum() / 96**2)
+
+
+def _unit_errors(optical, waves, ratio, aperture, responses, displacement):
+    """Mean square errors where samples differ by 1 in the mean square: points, means.
+
+    optical: (F, F), or None without blur. responses: of pixels from samples along both axes, see `_mean_response`.
+    """
+    f = waves.all
+    flat = np.flatnonzero(f == 0)[0], np.flatnonzero(f == 0)[0]
+    (mean_y, square_y), (mean_x, square_x) = responses
+    mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
+    true = _box(f, *(ratio * side for side in aperture))
+    if any(displacement):
+        down, across = (np.exp(2j * np.pi * move * f) for move in displacement)
+        true = true * (down[:, None] * across)
+    seen = np.ones_like(true)  # without blur, a sample is what it is
+    if optical is not None:
+        true = optical * true
+        seen = waves.folded(true if ratio == 1 else optical * _box(f))
+        seen = seen / np.real(seen[flat])  # flat fields are exact
+    errors = []
+    for means in (False, True):
+        got = seen * (_box(f) if means else 1.0)
+        error = np.abs(got) ** 2 * square - 2 * np.real(got * mean * np.conj(true)) + np.abs(true) ** 2
+        errors.append(float((waves.power * error).sum() * waves.step**2) / _difference_power(means))
+    return errors
+
+
+def _mean_response(taps, f):
+    """Mean over pixels, and mean of the square, of the transfer from samples to a pixel, about the pixel's centre."""
+    chosen = np.unique(np.linspace(len(taps.start) / 4, 3 * len(taps.start) / 4, SAMPLED_PIXELS).astype(int))
+    chosen = chosen[chosen < len(taps.start)]
+    place = taps.start[chosen, None] + np.arange(taps.weights.shape[1]) + 0.5 - taps.centres[chosen, None]
+    response = np.einsum("it,itf->if", taps.weights[chosen], np.exp(2j * np.pi * place[..., None] * f))
+    return response.mean(axis=0), (np.abs(response) ** 2).mean(axis=0)

@@ -1,0 +1,137 @@
+"""Windows of a picture: parts in which errors are computed, drawn where its edges are.
+
+Errors of a blur are at edges, so that windows are drawn with a probability that grows with the energy of the edges in
+them, and weighted by its inverse (Horvitz and Thompson, J. Am. Stat. Assoc. 47, 1952).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gpusim.optics.fusion import in_range
+
+MOST_STEPS = 2**18  # between neighbours that are looked at, for where the edges are
+EDGES = 0.7  # of the windows that are drawn by the energy of edges; the others are drawn evenly
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Which parts of a picture are looked at.
+
+    rows, cols: places of each one's samples, int (n, side), which may lie outside the picture. weight: of the frame's
+    samples that each stands for, sums to 1, (n,). steepest: largest step between neighbours anywhere over the largest
+    in any window's inner part, at least 1.
+    """
+
+    rows: np.ndarray
+    cols: np.ndarray
+    weight: np.ndarray
+    steepest: float
+
+    @classmethod
+    def of(cls, brightness, margin: int, border: str, count: int, side: int, rim: int, beside: int = 0) -> "Windows":
+        """As many as `count` windows of the frame, by the light that is in it and `margin` around, (rows, cols).
+
+        side, rim: samples of a window, and on each side of it around its inner part, which is in the frame. beside:
+        neighbouring inner parts on each side whose edges are an inner part's, too.
+        """
+        inner = side - 2 * rim
+        starts, (energy, largest) = _edges(brightness, margin, border, inner)
+        if beside:
+            grid = energy.reshape([len(first) for first in starts])
+            energy = scipy.ndimage.uniform_filter(grid, 2 * beside + 1, mode="constant").ravel()
+        drawn, weight = _drawn(energy, count)
+        places = [(y, x) for y in starts[0] for x in starts[1]]
+        first = np.array([places[k] for k in drawn]) + margin - rim
+        seen = largest[drawn].max()
+        return cls(first[:, :1] + np.arange(side), first[:, 1:] + np.arange(side), weight / weight.sum(),
+                   float(largest.max() / seen) if seen > 0 else 1.0)
+
+
+def _edges(brightness, margin, border, inner):
+    """First samples of windows' inner parts along both axes; mean square and largest step to neighbours in each one.
+
+    By some of their rows; both are in one line, row by row. A dark world around the frame is a step, too.
+    """
+    rows, cols = (n - 2 * margin for n in brightness.shape)
+    starts = [_starts(n, inner) for n in (rows, cols)]
+    stride, found = max(1, round(brightness.size / MOST_STEPS)), []
+    tops = brightness.max(axis=1) if stride > 1 else None
+    unit = _unit(brightness if tops is None else tops)
+    ends = np.stack([starts[1], np.minimum(starts[1] + inner, cols)], axis=1)
+    for y in starts[0]:
+        at = margin + np.arange(y, min(y + inner, rows), stride)
+        if tops is not None:
+            at = _with_brightest(at, tops, margin + min(y + inner, rows))
+        line, below = (brightness[each] * unit for each in (at, np.minimum(at + 1, len(brightness) - 1)))
+        step = np.abs(below - line)
+        across = np.abs(np.diff(line, axis=1))
+        np.maximum(step[:, :-1], across, out=step[:, :-1])
+        np.maximum(step[:, 1:], across, out=step[:, 1:])
+        step = step[:, margin : margin + cols]
+        if border == "zero":
+            step[:, 0], step[:, -1] = np.maximum(step[:, 0], line[:, 0]), np.maximum(step[:, -1], line[:, -1])
+            for edge, row in ((0, 0), (rows - 1, -1)):
+                if y <= edge < y + inner:
+                    step[row] = np.maximum(step[row], brightness[edge] * unit)
+        lines = np.square(step).sum(axis=0, dtype=np.float64) / len(step), step.max(axis=0)
+        # from each start to its end; what is between is left out; one more, since an end may not be beyond the last
+        found.append([by.reduceat(np.append(line, 0), ends.ravel())[::2]
+                      for by, line in zip((np.add, np.maximum), lines, strict=True)])
+    energy, largest = (np.concatenate(column) for column in zip(*found, strict=True))
+    return starts, (energy / np.tile(ends[:, 1] - ends[:, 0], len(starts[0])), largest)
+
+
+def _unit(brightness):
+    """A power of two, in the type of the values, that makes the largest up to 1, so that no square overflows."""
+    return brightness.dtype.type(2.0 ** -in_range(brightness.ravel()[[brightness.argmax()]])[1])
+
+
+def _with_brightest(at, tops, end):
+    """Rows, up to `end`, with the brightest added if it is more than twice as bright as these. tops: of all rows."""
+    most = at[0] + int(np.argmax(tops[at[0] : end]))
+    return np.union1d(at, most) if tops[most] > 2 * tops[at].max() else at
+
+
+def _starts(n, inner):
+    """First samples of windows' inner parts that cover an axis."""
+    return np.unique(np.minimum(np.arange(0, max(n, 1), inner), max(n - inner, 0)))
+
+
+def _drawn(energy, count):
+    """Which are drawn, each once, and what they stand for; all of them where they are few.
+
+    One after each `count`-th part of all chances. What would be drawn more than once is there for certain, and the
+    others share the other draws by their own energy: a few points of light do not hide those that are darker.
+    """
+    if len(energy) <= count:
+        return np.arange(len(energy)), np.ones(len(energy))
+    certain = np.zeros(len(energy), bool)
+    while True:
+        others = np.where(certain, 0.0, energy)
+        chance = (1 - EDGES) / np.count_nonzero(~certain) + EDGES * others / max(others.sum(), 1e-300)
+        expected = np.where(certain, 1.0, chance / chance[~certain].sum() * (count - np.count_nonzero(certain)))
+        if (expected <= 1).all():
+            break
+        certain |= expected > 1
+    drawn = np.searchsorted(np.cumsum(expected), np.arange(count) + 0.5)
+    return drawn, 1 / expected[drawn]
+
+
+def quantile(values, weight, part):
+    """Quantile of values (n, C, rows, cols) whose weights are (n, C), part >= 1 - 1 / cols.
+
+    The largest of each row tell a value that is low enough to be below it.
+    """
+    above = (1 - part) * weight.sum() * values[0, 0].size
+    least = _reached(values.max(axis=-1), weight[..., None], above)
+    some = values >= least
+    return float(_reached(values[some], np.broadcast_to(weight[..., None, None], values.shape)[some], above))
+
+
+def _reached(values, weight, above):
+    """The value down to which, from the largest on, the weights add up to `above`."""
+    weight = np.broadcast_to(weight, values.shape).ravel()
+    order = np.argsort(values, axis=None)[::-1]
+    return values.ravel()[order[min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)]]

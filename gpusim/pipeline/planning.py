@@ -1,0 +1,142 @@
+"""The planner asked for a Simulator: what its transforms and its device's memory can hold is planned."""
+
+from dataclasses import replace
+from math import ceil
+
+from gpusim.domain.account import UNKNOWN, Account
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, shown
+from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.view import View
+from gpusim.optics.lengths import LENGTHS
+from gpusim.optics.outside import BORDER_REACH
+from gpusim.pipeline.cache import same
+from gpusim.pipeline.memory import bytes_needed, largest_array
+from gpusim.pipeline.reading import Reading
+from gpusim.planner.after import probed
+from gpusim.planner.draft import TURNED
+from gpusim.planner.facts import Facts
+from gpusim.planner.given import judged, named_parts, planned_by
+from gpusim.planner.knobs import highlights, spectral
+from gpusim.planner.plan import Plan, plan
+from gpusim.planner.probes import Probes
+from gpusim.planner.question import Question
+
+MOST_REACH = LENGTHS[-1] // 4  # [pixel] of surroundings
+
+
+def checked_reach(reach: int | None) -> int | None:
+    """Return the pixels of surroundings that are asked for, or None, as they are. Raises OutOfRange."""
+    if reach is not None and (int(reach) != reach or not 1 <= reach <= MOST_REACH):
+        raise OutOfRange("reach", reach, f"a whole number of pixels, 1 .. {MOST_REACH}")
+    return reach
+
+
+def drafted_by(camera: Camera) -> tuple:
+    """What drafts depend on beside the scene: all of that but what is turned at a lens."""
+    return planned_by(replace(camera, optics=replace(camera.optics, **TURNED)), None)
+
+
+def planned(simulator, scene: Scene, facts: Facts | None = None, exposure_time: float | None = None,
+            least: int = 0) -> Plan:
+    """What a frame of `scene` takes: see `Simulator.plan`."""
+    checked_scene(scene)
+    reach, period, device = simulator.reach, simulator.period, simulator.device
+    most = LENGTHS[-1] // 2 - 2 * scene.margin if scene.border == "zero" else (
+        LENGTHS[-1] - 2 * (ceil((reach or BORDER_REACH) * scene.samples_per_pixel) + scene.margin))
+    if max(scene.samples) > most and not period:
+        raise OutOfRange("scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way")
+    simulator.readout.output_shape(scene.shape)
+    made = plan(scene, simulator.camera, tolerance=simulator.tolerance, facts=facts, exposure_time=exposure_time,
+                single=device.kind != "numpy", on_gpu=device.is_gpu, **_asked(simulator),
+                least=least)
+    _require_met(simulator, made)
+    needed = require_memory(made, device)
+    return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])
+
+
+def _require_met(simulator, made):
+    """Raise NotMet if the simulator is strict and the plan's tolerance is not met in its scene."""
+    if simulator.strict and made.verdict is not None and not made.verdict.met:
+        raise NotMet(f"{made.scene.name}: tolerance {made.verdict}")
+
+
+def require_memory(made: Plan, device) -> int:
+    """Device memory of a frame by a plan [byte]. Raises DoesNotFit."""
+    scene = made.scene
+    needed, largest = bytes_needed(made, device), largest_array(made)
+    needed *= 4 if device.kind == "numpy" else 1  # float64 and complex temporaries
+    what = f"{scene.name} ({scene.shape[1]}x{scene.shape[0]})"
+    if needed > device.memory:
+        raise DoesNotFit(what, needed, device.memory, device.name)
+    if largest > device.largest_array:
+        raise DoesNotFit(f"one array of {what}", largest, device.largest_array, device.name)
+    return needed
+
+
+def check_given(made, camera: Camera, scene: Scene):
+    """Raise BadData if a plan that is given is not for this camera and this scene."""
+    if not isinstance(made, Plan):
+        raise BadData(f"plan: {type(made).__name__}, wanted a Plan, such as of Simulator.plan")
+    named = f"plan {made.name} of {shown(made.scene.name)}"
+    if made.is_draft:
+        raise BadData(f"{named}: a draft, for a lens that is being turned; wanted one of Simulator.plan")
+    if camera is not made.camera:
+        own, its = named_parts(made.camera), named_parts(camera)
+        for name in own:
+            if not same(own[name], its[name]):
+                raise BadData(f"{named} is of a camera with another {name}: {_short(own[name])}, this one has "
+                              f"{_short(its[name])}")
+    if scene is not made.scene and (why := made.misfit(scene)) and not same(scene, made.scene):
+        raise BadData(f"{named} does not serve {shown(scene.name)}: {why}")
+
+
+def given(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
+    """A plan that is given, checked, as of a scene: see `check_given` and `judged_by`. Raises DoesNotFit, too."""
+    check_given(made, simulator.camera, scene)
+    require_memory(made, simulator.device)
+    return judged_by(simulator, made, scene, Facts.of(scene), exposure_time)
+
+
+def _short(value):
+    """A value in a message; of what is long its kind."""
+    return shown(value) if isinstance(value, int | float | str | tuple | type(None)) else type(value).__name__
+
+
+def judged_by(simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None) -> Plan:
+    """A plan that is given, see `check_given`, as of a scene: with its errors there, by this simulator's tolerance.
+
+    Raises NotMet if the simulator is strict.
+    """
+    asked, single = simulator.tolerance, simulator.device.kind != "numpy"
+    own, its = (planned_by(camera, asked) for camera in (made.camera, simulator.camera))
+    is_own = made.scene is scene or same(made.scene, scene)
+    is_judged = is_own and not made.planned_for and made.single == single and made.tolerance == asked and same(own, its)
+    if not is_judged and made.misfit(scene):  # another tolerance, device or noise
+        unknown = {"a plan of this scene alone, made for another tolerance, exposure or device": UNKNOWN}
+        account = replace(made.account, bounds=made.account.bounds | unknown)
+        made = replace(made, account=account, tolerance=asked, verdict=asked and account.verdict(asked))
+    elif not is_judged:
+        question = Question.of(scene, simulator.camera, facts, asked or made.tolerance, **_asked(simulator))
+        made = judged(made, question, exposure_time, asked, single)
+        made = replace(made, left_out=[*made.left_out, *simulator.left_out])
+    _require_met(simulator, made)
+    return replace(made, scene=scene)
+
+
+def probed_by(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
+    """What a plan errs in another scene: see `gpusim.planner.after.probed`."""
+    facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
+    return probed(made, Question.of(scene, simulator.camera, facts, simulator.tolerance, **_asked(simulator)), seconds)
+
+
+def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
+    """Windows of a scene in which errors are computed, of a view of it. seconds: of the exposure [s]."""
+    question = Question.of(scene.viewed(view), simulator.camera, Facts.of(scene), None, **_asked(simulator))
+    question, picture = highlights.split(question)
+    return spectral.probes_of(question, picture, picture.operation(question, seconds))
+
+
+def _asked(simulator):
+    """How a simulator asks for plans, beside the tolerance."""
+    return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period", "kept")}

@@ -1,0 +1,165 @@
+"""What a frame cost, what was modelled, and the error it carries."""
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from gpusim.domain.account import Account, Bound, Verdict
+from gpusim.domain.labels import Tabled
+from gpusim.domain.short_repr import shortened
+from gpusim.domain.tolerance import Tolerance
+
+
+@dataclass(frozen=True)
+class Error:
+    """True error of the mean electrons against the float64 reference.
+
+    rms: root mean square over that of the reference [1]. max_local: largest |error| / max(reference, 1 e-).
+    p999_sigma, max_sigma: 99.9 % quantile and maximum of |error| over the pixel's own noise sigma [1].
+    """
+
+    rms: float
+    max_local: float
+    p999_sigma: float
+    max_sigma: float
+
+    @classmethod
+    def between(cls, mean, reference, read_noise: float) -> "Error":
+        """Compare two images of mean electrons [e-]; sigma^2 = mean + read_noise^2, at least 1 e-^2."""
+        reference = np.asarray(reference, np.float64)
+        difference = np.abs(mean - reference)
+        sigma = difference / np.sqrt(np.maximum(reference + read_noise**2, 1.0))
+        size = np.sqrt(np.mean(reference**2))
+        return cls(float(np.sqrt(np.mean(difference**2)) / size) if size else float(difference.max() > 0),
+                   float((difference / np.maximum(reference, 1.0)).max()), float(np.quantile(sigma, 0.999)),
+                   float(sigma.max()))
+
+    def meets(self, tolerance: Tolerance) -> bool:
+        """Whether every bound of `tolerance` that is set holds."""
+        return self.nearest(tolerance)[0] <= 1
+
+    def nearest(self, tolerance: Tolerance) -> tuple[float, str]:
+        """Error over bound, and both in words, of the bound that is nearest to being broken or farthest beyond."""
+        bounds = ((self.rms, tolerance.rms, "rms"), (self.p999_sigma, tolerance.p999_sigma, "sigma at 99.9 %"),
+                  (self.max_sigma, tolerance.max_sigma, "sigma"))
+        return max((value / bound, f"{value:.2g} of {bound:.2g} {unit}") for value, bound, unit in bounds
+                   if bound is not None)
+
+
+def merged(order: list[str], names) -> list[str]:
+    """Names in an order; each new one before the next of `names` that is known there, or else after the one before."""
+    order, names = list(order), list(names)
+    for number, name in enumerate(names):
+        if name not in order:
+            after = next((order.index(other) for other in names[number + 1 :] if other in order), None)
+            before = order.index(names[number - 1]) + 1 if number else len(order)
+            order.insert(before if after is None else after, name)
+    return order
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """One stage of one frame: its name, what was modelled, and milliseconds (0: kept from the frame before)."""
+
+    stage: str
+    model: str
+    ms: float
+
+
+@dataclass(frozen=True)
+class Report(Tabled):
+    """Everything that is known about one frame besides its pixels.
+
+    scene, camera, device: what was simulated where. stages: in the order the light goes. account: predicted errors of
+    the scene as sampled. beside: those that are no part of it, such as what the samples leave out. left_out: what was
+    not modelled. error: the true error where it was asked for. verdict: whether the tolerance is met by what is
+    predicted.
+    wall_ms: milliseconds from the scene to the picture, planning, waiting and copying included. plan: its name.
+    """
+
+    scene: dict
+    camera: dict
+    device: dict
+    frame: int
+    seed: int
+    stages: list[StageReport]
+    account: Account
+    beside: dict
+    left_out: list[str]
+    error: Error | None = None
+    tolerance: Tolerance | None = None
+    notes: list[str] = field(default_factory=list)
+    verdict: Verdict | None = None
+    wall_ms: float = 0.0
+    plan: str = ""
+
+    @property
+    def ms(self) -> float:
+        """Milliseconds of all stages."""
+        return sum(stage.ms for stage in self.stages)
+
+    @property
+    def meets_tolerance(self) -> bool | None:
+        """Whether the true error is within the tolerance; None unless both are known."""
+        return None if self.error is None or self.tolerance is None else self.error.meets(self.tolerance)
+
+    @property
+    def prediction_ratio(self) -> float | None:
+        """Predicted over true relative RMS error; None unless both are known and not 0."""
+        predicted = self.account.total.rms
+        return predicted / self.error.rms if predicted and self.error and self.error.rms else None
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        return asdict(self) | {"account": self.account.as_dict(), "ms": self.ms,
+                               "meets_tolerance": self.meets_tolerance, "prediction_ratio": self.prediction_ratio,
+                               "predicted": self.account.total.as_dict(),
+                               "verdict": self.verdict and self.verdict.as_dict()}
+
+    @property
+    def errors(self) -> list[tuple[str, Bound]]:
+        """Name and bound of every predicted error, and of all that are known together."""
+        bounds = self.account.bounds
+        last = "all together" if all(bound.is_known for bound in bounds.values()) else "all known together"
+        return [*bounds.items(), (last, self.account.total)]
+
+    @property
+    def _border(self):
+        """Error of the border, if no tolerance limits it."""
+        border = self.account.bounds.get("border")
+        if self.tolerance is not None or border is None:
+            return ""
+        return f"; no tolerance: border error rms {border.rms:.2g}, largest {border.max_sigma:.2g} sigma, predicted"
+
+    def __repr__(self):
+        named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
+        verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
+        return shortened(f"Report({named} on {self.device['name']}, {1e3 * self.camera['exposure_time_s']:.4g} ms, "
+                         f"frame {self.frame}, predicted rms {self.account.total.rms:.2g}{verdict})")
+
+    def __str__(self):
+        lines = [f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
+                 f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
+                 f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"]
+        lines += [f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}" for stage in self.stages]
+        lines.append(f"  {'all stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms, planning and copies included")
+        lines += [f"  predicted: {name:22s} " + (
+            f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
+            if bound.is_known else "not known") for name, bound in self.errors]
+        lines += [f"  beside: {name} {value:.2g}" for name, value in self.beside.items()]
+        if self.error:
+            error = self.error
+            lines.append(f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
+                         f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma")
+        if self.prediction_ratio:
+            lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
+        if self.tolerance is not None:
+            verdict = str(self.verdict)
+            if error := self.error:
+                verdict = (f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
+                           f"predicted {verdict}")
+            lines.append(f"  tolerance: {verdict}")
+        lines.append(f"  not modelled: {'; '.join(self.left_out)}")
+        lines += [f"  plan: {self.plan}"] * bool(self.plan)
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)

@@ -1,0 +1,113 @@
+"""Frames of one scene after the other: the next scene goes to the device while this one is computed."""
+
+from collections.abc import Generator, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.errors import BadData, UnknownName, checked_count
+from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
+from gpusim.domain.scene import Scene, checked_scene
+from gpusim.pipeline.outputs import OUTPUTS
+from gpusim.planner.plan import Plan
+
+SLOTS = 2  # one is computed from while the other is written
+
+
+class Stream(Iterator):
+    """One frame of every scene: see `Simulator.stream`. settings: of its `Program`.
+
+    plan: by which the last frame was made; before the first, the one that was given, or None.
+    """
+
+    def __init__(self, simulator, scenes: Iterable[Scene], output: str = "codes", *, seed: int = 0, first: int = 0,
+                 plan: Plan | None = None, **settings):
+        if output not in [*OUTPUTS]:
+            raise UnknownName("output", str(output), OUTPUTS)
+        checked_count("first", first, 0)
+        if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
+            raise BadData(f"scenes of a stream: {type(scenes).__name__}, wanted several, such as [scene]")
+        self.plan, self._settings = plan, settings | {"plan": plan}
+        self._frames = self._made(simulator, scenes, output, seed, first)
+
+    def __next__(self) -> Any:
+        return next(self._frames)
+
+    def close(self) -> None:
+        """End it; what is on its way to the device arrives before."""
+        self._frames.close()
+
+    def _made(self, simulator, scenes, output, seed, first):
+        arriving, program = _arriving(simulator.device, map(checked_scene, scenes)), None
+        try:
+            for number, scene in enumerate(arriving, first):
+                program = (simulator.program(scene, **self._settings) if program is None else
+                           program.update(scene=scene))
+                frame = program.output(output, seed=seed, frame=number)
+                self.plan = program.plan
+                yield frame
+            if program is not None:
+                program.judge()
+        finally:
+            arriving.close()
+
+
+def _arriving(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
+    """The scenes with their samples on the device, the next one on its way there.
+
+    A scene's arrays may be written to again when the scene after the next is asked for.
+    """
+    if device.on_host or device.kind == "numpy":
+        yield from scenes
+        return
+    slots: list[dict] = [{} for _ in range(SLOTS)]
+    sent, earlier, number = None, None, 0
+    try:
+        while True:
+            if earlier is not None:
+                earlier.wait()
+            coming = next(scenes, None)
+            following = None if coming is None else _Sent(device, coming, slots[number % SLOTS])
+            if sent is not None:
+                yield sent.scene()
+            if following is None:
+                return
+            sent, earlier, number = following, sent, number + 1
+    finally:
+        for one in (sent, earlier):
+            if one is not None:
+                one.wait()
+
+
+class _Sent:
+    """A scene on its way to a device.
+
+    slot: arrays there that it takes the place of, by name; they are read by nothing that is launched from now on.
+    """
+
+    def __init__(self, device, scene: Scene, slot: dict):
+        self._scene, self._transfers, after = scene, {}, device.mark()
+        content = scene.content
+        for name in content.samples:
+            values, kind = getattr(content, name), content.stored_type(name)
+            if not isinstance(values, np.ndarray):
+                if dlpack_kind(values) != CPU[0]:
+                    continue  # it is there
+                values = to_host(values, content.form)
+            values = np.ascontiguousarray(values, kind)
+            target = slot.get((name, kind))
+            if target is not None and tuple(target.shape) != values.shape:
+                target = None
+            self._transfers[name] = device.send(values, target, after)
+            slot[name, kind] = self._transfers[name].array
+
+    def scene(self) -> Scene:
+        """The scene, whose samples what is launched from now on waits for."""
+        arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
+        return self._scene.stored(**arrays) if arrays else self._scene
+
+    def wait(self):
+        """Wait until all of it has arrived."""
+        for transfer in self._transfers.values():
+            transfer.wait()

@@ -1,0 +1,65 @@
+"""Blur form: straight to the mosaic or of whole channels, by transforms of the frame or of tiles."""
+
+from dataclasses import replace
+
+from gpusim.domain.account import SAFETY, total
+from gpusim.optics.depth import DepthPlan
+from gpusim.planner.knobs.border import Surroundings
+from gpusim.planner.knobs.highlights import Picture
+from gpusim.planner.notes import Notes
+from gpusim.planner.probes import SIDE, Probes
+from gpusim.planner.question import Question, displaced
+
+ENDINGS = {"optics.mosaic": ", folded into the mosaic", "optics.blur": "",
+           "optics.tiles": ", by tiles"}
+
+
+def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
+    """The stage that blurs, and whether it gives the mosaic at once.
+
+    around: what takes part. Layers by depth are laid over one another channel by channel.
+    """
+    optics, sensor = question.optics, question.sensor
+    folded = (around.folds and question.ratio == 1 and not sensor.is_monochrome and not sensor.stacked
+              and optics.is_symmetric and not optics.varies and not any(question.moved) and depth is None)
+    if around.tiling is not None:
+        return "optics.tiles", folded
+    return "optics.mosaic" if folded else "optics.blur", folded
+
+
+def describe(question: Question, form: str, words: str, has_depth: bool, notes: Notes):
+    """Say what blurs; words: by which planes."""
+    optics, moved = question.optics, question.moved
+    over = f"the pixel{displaced(moved)}" if question.ratio == 1 else "each scene sample"
+    if optics.is_ideal and not has_depth and not any(moved):
+        notes.models["optics.airy"] = f"diffraction-limited circular pupil, integrated over {over}"
+    else:
+        notes.models["optics.pupil"] = f"{optics.description}, integrated over {over}"
+    notes.models[form] = words + ENDINGS[form]
+
+
+def _must_stay(question, picture):
+    """Whether a blur is not left out whatever that errs.
+
+    It is asked for in a form or for every spectrum; it goes by distance or place, where one window does not tell it;
+    points of light are added to it; it is what displaces the pixels by parts of samples; or scenes of its kind were
+    found to need it.
+    """
+    return (question.least or question.period or question.reach or question.guaranteed
+            or question.facts.depth is not None or question.optics.varies or picture.highlights is not None
+            or (question.more and question.ratio == 1))
+
+
+def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes) -> Question:
+    """The question without the blur, where that errs little enough; else the same."""
+    assert question.tolerance is not None
+    if _must_stay(question, picture):
+        return question
+    bound = probes.unblurred
+    if SAFETY * bound.ratio(question.tolerance) <= 1:
+        bound = total([bound, probes.even_error(picture.from_afar(question, SIDE / 2))])
+    if SAFETY * bound.ratio(question.tolerance) > 1:
+        return question
+    notes.leave_out("blur", bound, "blur left out")
+    camera = replace(question.camera, optics=replace(question.optics, model="none", psf=None))
+    return replace(question, camera=camera)

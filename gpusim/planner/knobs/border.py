@@ -1,0 +1,209 @@
+"""Border: how much of the world around the frame takes part in the blur."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, sqrt
+
+import numpy as np
+from scipy.special import j0, j1
+
+from gpusim.domain.account import Bound, total
+from gpusim.domain.errors import OutOfRange
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.fusion import in_range
+from gpusim.optics.highlights import TRANSFORM_ERROR
+from gpusim.optics.lengths import LENGTHS, transform_lengths
+from gpusim.optics.lens import straight_tail, tail_of
+from gpusim.optics.outside import BORDER_REACH, Outside, most_reach
+from gpusim.optics.tiling import Tiling, tiling
+from gpusim.planner.knobs.farfield import (
+    TILES_SPACINGS,
+    FarField,
+    far_field,
+    has_far_field,
+    seam_error,
+    spline_error,
+    tails_of,
+)
+from gpusim.planner.knobs.highlights import Picture
+from gpusim.planner.knobs.rings import ring_errors
+from gpusim.planner.notes import Notes
+from gpusim.planner.question import Question
+
+FAR_REACHES = (16, 32, 64, 128, 256)  # [pixel] beyond which the world is left to Gaussians, for a tolerance
+OVERLAPS = (8, 12, 16)  # [sample] of tiles, for a tolerance
+EVEN = 2.0, 2.5  # 99.9 % quantile and maximum of waves all over the frame, over their RMS where it is darkest
+SMALL = 0.25  # of a tolerance: what is predicted within 2.5 does not break it
+BRIGHT = 1e9  # [e- s-1] of a frame from which on its light is scaled: squares of float32 sums end at 3e38
+MOST_AROUND = 4  # samples on each side whose light stands for what a lens mixes
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What of the world around the frame takes part in the blur.
+
+    reach: surroundings on each side that were asked for [pixel]. reaches: those along each axis [sample]. period:
+    lengths of the transforms [sample]. folds: whether the mosaic folds into these. outside: what is around the frame.
+    level: electrons of the frame's root mean square. far: what the world beyond is left to, None: it is not seen.
+    tiling: of tiles that see so much around them, None: the frame is one transform.
+    question: what is asked.
+    """
+
+    reach: int
+    reaches: list[int]
+    period: tuple[int, int]
+    folds: bool
+    outside: Outside
+    level: float
+    far: FarField | None
+    tiling: Tiling | None
+    question: Question
+
+    @cached_property
+    def bound(self) -> Bound:
+        """Error of what is not seen, or seen on the wrong side."""
+        if self.tiling is not None and self.far is not None:
+            rings = Bound(*ring_errors(self.outside, self.question, self.tiling, self.far))
+            return total([Bound(rings.rms, rings.p999_sigma * sqrt(self.level), rings.max_sigma * sqrt(self.level)),
+                          self.splines])
+        if self.far is not None:
+            rms = seam_error(self.outside, self.question, self.period)
+            return self._even(rms)
+        rms, most, largest = self.outside.error(self.period, min(self.reaches))
+        return Bound(rms, most * sqrt(self.level), largest * sqrt(self.level))
+
+    @property
+    def splines(self) -> Bound:
+        """Error of the splines that carry what is far from tiles."""
+        assert self.far is not None
+        return self._even(spline_error(self.far, self.outside, self.question))
+
+    def _even(self, rms):
+        """An error that is everywhere alike."""
+        p999, most = self.outside.darkest
+        return Bound(rms, EVEN[0] * sqrt(self.level) * rms * p999, EVEN[1] * sqrt(self.level) * rms * most)
+
+    @property
+    def spare(self) -> int:
+        """Samples around the scene's own that can be blurred, too."""
+        if self.tiling is not None and self.far is not None:
+            return int(self.far.sigmas[0] / self.far.spacings)
+        return min((length - n) // 2 for length, n in zip(self.period, self.question.size, strict=True))
+
+    @cached_property
+    def brighter(self) -> float:
+        """Root mean square of what is transformed, over the frame's, at least 1."""
+        return 1.0 if self.tiling is not None else self.outside.brighter(self.period)
+
+    def describe(self, question: Question, notes: Notes):
+        """Say what is not seen."""
+        reach = min(self.reaches)
+        if self.far is not None:
+            notes.bounds["border"] = self.bound
+            beyond = (f"{self.reach} pixels outside the frame" if self.tiling is None else
+                      f"{self.tiling.overlap} samples outside each tile of {self.tiling.side}")
+            notes.models["optics.far"] = f"the world without end beyond {beyond}, by {len(self.far.sigmas)} Gaussians"
+            notes.models["optics.near"] = "transfer functions less those of the Gaussians"
+            return
+        notes.bounds["border"] = self.bound
+        if question.tolerance is None and self.bound.rms > TRANSFORM_ERROR:
+            notes.leave_out(f"the world more than {reach / question.ratio:.4g} pixels outside the frame, seen as the "
+                            "transforms repeat it", self.bound, "border")
+        if question.optics.is_ideal:
+            notes.beside["kernel energy beyond the surroundings"] = _energy_beyond(reach, question.q.max())
+
+
+def surroundings(question: Question, picture: Picture, depth: DepthPlan | None,
+                 level: float) -> Iterator[list[Surroundings]]:
+    """As much as is asked for alone; or BORDER_REACH, and for a tolerance other ways, more in each list to come.
+
+    Those are less or more of it with a world without end beyond, by Gaussians, where the lens is such that they can;
+    else twice as much each time. Raises OutOfRange. Spreads that are given end: the frame sees as far as they go, if
+    they fit into its transforms at all. level: electrons of the frame's root mean square.
+    """
+    outside, ratio = _outside(question, picture, depth, level), question.ratio
+    beside = (ceil(depth.reach) if depth else 0) + question.more  # samples that take part beside the reach
+    shape, reach = outside.image.shape, question.reach
+
+    def around(reach, far=None):
+        more = ceil(reach * ratio) + beside
+        reaches = [max(more, -(-n // 2) if outside.border == "zero" and far is None else 0) for n in shape]
+        period, folds = _lengths(question, [n + 2 * more for n, more in zip(shape, reaches, strict=True)])
+        if None in period:
+            rows, cols = question.size
+            raise OutOfRange("scene size with surroundings", f"{cols + 2 * reaches[1]} x {rows + 2 * reaches[0]} "
+                             "samples", "what the transforms take: a smaller scene, reach or aperture")
+        return Surroundings(reach, reaches, period, folds, outside, level, far, None, question)
+
+    def in_tiles(overlap):
+        found, folds = tiling(overlap, np.shape(question.sensor.cfa_indices))
+        reach, period, made = found.overlap, (found.side, found.side), None
+        for spacings in TILES_SPACINGS:  # the fewest that are no matter
+            field = far_field(question, tails, reach, found.side, spacings)
+            made = field and Surroundings(ceil(reach / ratio), [reach, reach], period, folds, outside, level, field,
+                                          found, question)
+            if made is None or made.splines.ratio(question.tolerance) <= SMALL:
+                break
+        return made
+
+    if reach is not None:
+        yield [around(reach)]
+        return
+    fits = question.optics.psf and 2 * outside.spread <= min(question.size) + 2 * BORDER_REACH * ratio
+    reach = max(BORDER_REACH, ceil(outside.spread / ratio) if fits else 0)
+    first, most = [around(reach)], int((most_reach(shape, LENGTHS[-1]) - beside) / ratio)
+    if question.tolerance is None:
+        yield first
+        return
+    if has_far_field(question, depth is not None):
+        tails = tails_of(question)
+        reaches = [reach for reach in FAR_REACHES if reach <= max(most, BORDER_REACH)]
+        fields = [far_field(question, tails, reach * ratio) for reach in reaches]
+        found = [around(reach, field) for reach, field in zip(reaches, fields, strict=True) if field is not None]
+        tiled = [one for one in map(in_tiles, OVERLAPS) if one is not None]
+        yield first + tiled + [one for one in found if one.reach <= BORDER_REACH]
+        yield from ([one] for one in found if one.reach > BORDER_REACH)
+        return
+    yield first
+    while reach < most:
+        reach = min(2 * reach, most)
+        yield [around(reach)]
+
+
+def surroundings_of(question: Question, picture: Picture, level: float, period: tuple[int, int],
+                    far: FarField | None, made: Tiling | None) -> Surroundings:
+    """Those of a plan that was made for another scene. level: see `surroundings`. made: its tiling."""
+    reaches = [made.overlap] * 2 if made is not None else [
+        (length - n) // 2 for length, n in zip(period, question.size, strict=True)]
+    return Surroundings(ceil(min(reaches) / question.ratio), reaches, period, False,
+                        _outside(question, picture, None, level), level, far, made, question)
+
+
+def _lengths(question, least):
+    """Lengths of the transforms of at least (rows, cols), and whether the mosaic folds into them."""
+    if question.period:
+        return question.period, False
+    return transform_lengths(least, np.shape(question.sensor.cfa_indices))
+
+
+def _outside(question, picture, depth, level):
+    scene, optics, split = question.scene, question.optics, picture.highlights
+    spread = 0
+    if question.is_blurred:
+        spread = depth.reach if depth else question.spread
+    tail = tail_of(optics) * question.mean_q if question.is_blurred and not question.period else 0
+    light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
+    if picture.level > BRIGHT:  # all that is told is over the level
+        light, power = in_range(light)
+        unit = 2.0**-power
+    return Outside(light, scene.border, scene.margin, tail, spread, picture.level * unit,
+                   max(question.sensor.read_sigma**2, 1) / level, missing * unit,
+                   min(round(question.deviation), MOST_AROUND), *(straight_tail(optics) if tail else ((), 0.0)),
+                   question.deviation, not scene.view.is_plain)
+
+
+def _energy_beyond(radius, q):
+    """Share of an Airy pattern's energy beyond `radius` [pixel]: J0(v)^2 + J1(v)^2, v = pi r / q (Rayleigh 1881)."""
+    v = np.pi * radius / q
+    return float(j0(v) ** 2 + j1(v) ** 2)

@@ -1,0 +1,146 @@
+"""Field: a blur that is not the same all over the frame."""
+
+import numpy as np
+
+from gpusim.optics.field import FieldBlur, FlatField, choose, natural_difference
+from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
+from gpusim.planner.differences import Differences, farthest_corner
+from gpusim.planner.question import Question
+
+FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur where no tolerance is asked for
+MOST_PLANES = 6  # a channel, of a field-varying blur
+SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
+DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
+# beyond it predicted over true was .4 to .7 of sigmas, as such windows see little of such a blur
+WIDEST_Q = 24.0
+BETWEEN_DOUBT = "pixels end between the scene's samples, and light between blurred samples is interpolated"
+WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
+WIDEST_ROOM = 8  # times the limit: what the end of kernels may cost a natural scene at most, if this one is flatter
+ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
+
+
+def doubt_of(question: Question) -> str:
+    """Why errors that are predicted are not sure: a lens that varies within its kernels, or a very wide blur; or ""."""
+    if not question.is_blurred:
+        return ""
+    if _pixels_end_between_samples(question):
+        return BETWEEN_DOUBT
+    if question.optics.varies and min(question.size) < SMALL:
+        return DOUBT
+    return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
+
+
+def _pixels_end_between_samples(question):
+    """Whether the edges of a pixel's aperture are not all edges of the cells of a finer scene's samples."""
+    ratio, sensor = question.ratio, question.sensor
+    if ratio == 1:
+        return False
+    edges = [ratio * (0.5 + move + side * width / 2) for move, width in zip(
+        sensor.displacement, question.aperture, strict=True) for side in (-1, 1)]
+    return not ratio.is_integer() or any(abs(edge - round(edge)) > 1e-6 for edge in edges)
+
+
+def varying_planes(question: Question, response: Response, prior, flat):
+    """Planes from spectra, transfers on the axis, mix, field-varying rest, error and description of a blur that varies.
+
+    prior: E[x^T x] of likely spectra, shape (L, L). flat: see `Plan`.
+    Each channel has planes of its own, so that each plane has one kernel at a place. Their number and the field's
+    kernels share the limit. Raises OutOfRange.
+    """
+    limit = question.limit or FIELD_TOLERANCE
+    count, table, each, error = _planes(question, response, prior, limit)
+    mix, transfers = each.any(axis=2) * 1.0, each.sum(axis=0)  # a plane is seen by one channel alone
+    # differences of neighbours in a plane, over those in the channel: planes of equal strength count alike
+    spectra, (rows, cols) = question.facts.spectra, question.size
+    differences = spectra.differences
+    if question.scene.border == "zero":  # the frame's outline is an edge, too
+        differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
+    strength = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, differences, table), 0))
+    whole = np.sqrt(np.maximum(np.einsum("cl,lm,cm->c", response.flat, differences, response.flat), 0))
+    strength = _stepped(np.maximum(strength / np.maximum(mix.T @ whole, 1e-300), 1e-12))
+    table, transfers = table / strength[:, None], transfers * strength[:, None]
+    power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
+    contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9) / natural_difference()
+    # of planes in a flat field of the frame's power
+    levels = np.sqrt(np.maximum(np.einsum("kl,lm,km->k", table, spectra.values, table), 0) / max(power, 1e-300))
+    varying = _rest(question, transfers * flat, _stepped(limit / contrast), count, levels, _stepped(limit))
+    error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
+    error = float(np.hypot(error, varying.flat))
+    error = float(np.hypot(error, _misplaced(question, varying)))
+    return table, transfers[None], mix, varying, error, (
+        f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
+        f"{len(question.content.wavelengths)} wavelengths")
+
+
+def _planes(question, response, prior, limit):
+    """Number of planes a channel, planes from spectra, transfers (C, planes, L) and error."""
+    own, channels = question.facts.spectra, len(response.weights)
+    operators = [] if question.guaranteed else [joint_operator(response.channel(c), prior) for c in range(channels)]
+    for count in range(1, MOST_PLANES + 1):
+        if question.guaranteed:
+            operator = channel_operator(response, count)
+            table, each, error, room = operator.table, operator.transfers, operator.bound, 1.0
+        else:
+            parts = [one.transfers(count)[0] for one in operators]
+            table, each = np.vstack([one.w_in[:, :count].T for one in operators]), _blocks(parts)
+            error, room = response.error(table, each, own), ROOM
+        if room * error < limit / 2:
+            break
+    return count, table, each, error
+
+
+def _rest(question, transfers, limit, count, levels, flat_limit) -> FieldBlur:
+    """What the blur has more than that on the axis; transfers: of the planes, (planes, L), of lights of 1.
+
+    limit: of the error of natural scenes. levels, flat_limit: strength of the planes in flat fields, and the limit of
+    the error of these.
+    """
+    lens, shape, wavelengths = question.lens, question.size, question.content.wavelengths
+    axis = tuple(question.ratio * at for at in question.axis)
+    of = lens, wavelengths, transfers, shape, question.corner, min(limit, WIDEST_ROOM * flat_limit)
+    levels = _stepped(np.maximum(levels, 1e-12))
+
+    def made():
+        differences = Differences(*of[:-1], of[-1] / 8, axis)
+        return choose(differences, shape, limit / 2 / np.sqrt(count),
+                      FlatField(differences, shape, levels, flat_limit / 2))
+
+    return question.kept("field plan", (*of, limit, axis, count, levels, flat_limit), made)
+
+
+def _stepped(values):
+    """Values down to the next power of 2^(1/2), so that scenes that are alike take the same plan of the field."""
+    return np.exp2(np.floor(2 * np.log2(values)) / 2)
+
+
+def _misplaced(question, varying):
+    """Relative RMS error of light from outside the frame, and of light that is lost in a dark world.
+
+    Light from outside is spread as at the frame's border, where a lens would go on to vary. The corner's spread moves
+    light by d pixels at R pixels from the axis: a strip d wide, less the margin, is too bright, or too dark, by d / R,
+    if light moves inward. In a dark world nothing comes from outside; what kernels have less than those on the axis,
+    and the differences evenly, is lost there. It grows with the square of the height h, whose root mean square over a
+    frame, 1 at the corner, is 0.42 .. 0.45.
+    """
+    wavelengths, size, (rows, cols) = question.content.wavelengths, varying.kernels.shape[-1], question.size
+    middle = (np.array(question.size) - 1) / 2 + question.ratio * np.array(question.axis)
+    corner = farthest_corner(question.size, middle)
+    height = max(float(np.hypot(*corner)), 1.0)
+    outer, axis = (question.lens.kernels([float(np.median(wavelengths))], tuple(place), size)[0]
+                   for place in (corner / question.corner, (0.0, 0.0)))
+    if question.scene.border == "zero":
+        return float(0.43 * abs(axis.sum() - outer.sum()))
+    at = np.arange(size) - size // 2
+    inward = -(outer.sum(axis=1) @ at * corner[0] + outer.sum(axis=0) @ at * corner[1]) / height / outer.sum()
+    inward = max(float(inward), float(-question.optics.lateral_color_at(wavelengths).min() * height), 0.0)
+    strip = max(inward - question.scene.margin, 0.0)
+    return inward / height * float(np.sqrt(min(2 * strip * (rows + cols) / (rows * cols), 1.0)))
+
+
+def _blocks(parts):
+    """Rows of each part (n, L) in a place of their own: shape (parts, sum of n, L), 0 elsewhere."""
+    ends = np.cumsum([len(part) for part in parts])
+    out = np.zeros((len(parts), ends[-1], parts[0].shape[1]))
+    for own, part, end in zip(out, parts, ends, strict=True):
+        own[end - len(part) : end] = part
+    return out

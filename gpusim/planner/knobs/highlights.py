@@ -1,0 +1,100 @@
+"""Highlights: split off the picture where what is added in their place is known exactly."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gpusim.optics.highlights import THRESHOLD, Highlights, median_of, split_highlights, unsplit_error
+from gpusim.optics.lens import tail_of
+from gpusim.optics.outside import rule_of, seen_light, spread_afar
+from gpusim.planner.facts import Facts
+from gpusim.planner.notes import Notes
+from gpusim.planner.operation import Operation
+from gpusim.planner.question import Question
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The light that goes through the blur.
+
+    brightness: sums over wavelength and channels, float32 (rows, cols). level: root mean square of the frame, its
+    highlights in it, as the lens shows it. highest: maximum, likewise. highlights: what was split
+    off, or None.
+    """
+
+    brightness: np.ndarray
+    level: float
+    highest: float
+    highlights: Highlights | None
+
+    @cached_property
+    def is_spiky(self) -> bool:
+        """Whether it has highlights."""
+        return bool(self.brightness.max(initial=0) > THRESHOLD * median_of(self.brightness))
+
+    def from_afar(self, question: Question, distance: float) -> float:
+        """Relative RMS error of a lens that spreads nothing farther than `distance` [sample]."""
+        tail = tail_of(question.optics) * question.mean_q
+        if not (tail and self.level > 0):
+            return 0.0
+        light = spread_afar(self.brightness, rule_of(question.scene.border), question.scene.margin, tail, distance)
+        return float(np.sqrt(np.mean(light**2))) / self.level
+
+    def operation(self, question: Question, exposure_time: float | None) -> Operation:
+        """How the camera will expose it. exposure_time: given, or None [s]."""
+        return Operation.of(question.camera, question.facts, question.weights, self.level, self.highest,
+                            exposure_time)
+
+    def mosaic(self, weights, share) -> float | None:
+        """Mean square of the mosaic over that of the channels together, of what was split off; None: nothing was.
+
+        weights: electrons per content, (C, L). share: part of the pixels that has each channel, (C,).
+        """
+        split = self.highlights
+        if split is None:
+            return None
+        each = (split.spectra @ weights.T)[split.light] * split.strength[:, None]
+        return float((each**2 @ share).sum() / max((each.sum(axis=1) ** 2).sum(), 1e-300))
+
+    def describe(self, notes: Notes):
+        """Say what was split off."""
+        split = self.highlights
+        if split is None:
+            return
+        notes.models["optics.splat"] = f"{len(split.places)} highlights added exactly, each with its own spectrum"
+        if split.residue:
+            notes.beside["local error beside further highlights"] = split.residue
+
+    def describe_unsplit(self, notes: Notes):
+        """Say what the transforms err beside highlights that stay in the picture."""
+        if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
+            notes.beside["local error beside highlights"] = left
+
+
+def whole(question: Question) -> Picture:
+    """The picture with its highlights."""
+    brightness, scene = question.facts.brightness(question.light), question.scene
+    return Picture(brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border), None)
+
+
+def split(question: Question) -> tuple[Question, Picture]:
+    """The question of what is left without highlights, and the picture."""
+    scene, facts, picture = question.scene, question.facts, whole(question)
+    if not can_be_split(question) or not picture.is_spiky:
+        return question, picture
+    brightness, level, highest = picture.brightness.copy(), picture.level, picture.highest
+    content, highlights = split_highlights(facts.samples.whole().on_host(), brightness, question.q.max(), scene.margin,
+                                           rule_of(scene.border))
+    if highlights is not None:
+        question = replace(question, facts=Facts(content))
+    return question, Picture(brightness, level, highest, highlights)
+
+
+def can_be_split(question: Question) -> bool:
+    """Whether highlights can be split off: their kernels are Airy patterns integrated over a square around them."""
+    optics, cell = question.optics, question.cell
+    ideal = (optics.is_ideal and not optics.varies and optics.distortion is None and question.facts.depth is None
+             and question.scene.view.is_plain)
+    return (question.is_blurred and not question.period and ideal and cell[0] == cell[1] and not any(question.moved)
+            and (question.ratio > 1 or not question.sensor.stacked))
