@@ -5,8 +5,12 @@ simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
 frame = simulate(gs.open_scene("colorchecker"), seed=1)      # frame.mean, frame.raw, frame.rgb, frame.report
 """
 
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gpusim.domain import labels
+from gpusim.pipeline import truths
 
 __version__ = "0.1.0"
 
@@ -105,6 +109,10 @@ if TYPE_CHECKING:  # the same for type checkers and editors, which do not run th
     from gpusim.pipeline.program import Program as Program
     from gpusim.pipeline.readout import Readout as Readout
     from gpusim.pipeline.simulator import Simulator as Simulator
+
+# what stands above a package is handed in, and loaded when it is needed
+labels.load = partial(import_module, "gpusim.plot.notebook")
+truths.load = partial(import_module, "gpusim.judge.truth")
 
 
 def __getattr__(name):

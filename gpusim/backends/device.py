@@ -5,7 +5,10 @@ import threading
 import time
 import weakref
 from collections import defaultdict
+from collections.abc import Callable
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
@@ -55,6 +58,7 @@ class Device:
     kind = "numpy"
     name = "numpy"
     on_host = True
+    opened_by: Callable[[str], "Device"]  # by name; `gpusim.backends.select` sets it
     array_type: type = type(None)  # no foreign arrays: everything is NumPy
     is_gpu = False
     has_fp64 = True
@@ -71,7 +75,7 @@ class Device:
         return f"Device({self.name!r})"
 
     def __reduce__(self):
-        return _reopened, (self.name,)
+        return type(self).opened_by, (self.name,)
 
     @property
     def memory(self) -> int:
@@ -234,7 +238,9 @@ def refuse_fork(name):
                           'DataLoader(multiprocessing_context="spawn")), or use devices in child processes alone')
 
 
-def _reopened(name):
-    from gpusim.backends.select import open_device
-
-    return open_device(name)
+def kernel_folder() -> Path:
+    """Return the folder of the kernels' files. Raises ImportError without one."""
+    spec = find_spec("gpusim.kernels.common")  # beside the package in a checkout, inside it when it is installed
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError("no kernels")
+    return Path(spec.submodule_search_locations[0]).parent

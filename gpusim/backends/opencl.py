@@ -13,6 +13,7 @@ import numpy as np
 from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
 from gpusim.backends.caches import pocl_folder
 from gpusim.backends.commands import Arriving, Command, Copy
+from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor
 from gpusim.backends.refusal import of_shape, of_values, refusable
@@ -332,9 +333,7 @@ class OpenCLDevice(Taped):
 
 def stage_source(stage: str) -> tuple[str, Path]:
     """Text of `kernels/<area>/<stage>.cl`, and the folder of the files it includes."""
-    import gpusim.kernels
-
-    root = Path(gpusim.kernels.__path__[0])
+    root = kernel_folder()
     path = root.joinpath(*stage.split(".")).with_suffix(".cl")
     if not path.exists():
         raise DeviceError(f"{stage}: no OpenCL kernel; add kernels/{path.relative_to(root)}")

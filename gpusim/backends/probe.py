@@ -2,7 +2,7 @@
 
 Results are kept in the user's cache folder until the packages, the drivers or the environment change; those of devices
 that fail for ten minutes, and not at all if none works but NumPy.
-`python -m gpusim.backends.probe opencl:0` tries one device and prints what it found as JSON.
+`gpusim.backends.probe_child` is what such a process runs.
 """
 
 import contextlib
@@ -19,9 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.backends.driver import cl_devices
-from gpusim.backends.warp import started_warp
-from gpusim.domain.errors import DeviceError, GpusimError
+from gpusim.backends.device import kernel_folder
+from gpusim.domain.errors import DeviceError
 
 COPY_BYTES = 2**26  # larger than most last-level caches
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
@@ -35,7 +34,7 @@ _, folder, argument = sys.argv
 if folder not in sys.path:  # a checkout that is not installed, or not this one
     sys.path.insert(0, folder)
 sys.argv = ["gpusim", argument]
-runpy.run_module("gpusim.backends.probe", run_name="__main__", alter_sys=True)
+runpy.run_module("gpusim.backends.probe_child", run_name="__main__", alter_sys=True)
 """
 DRIVERS = {"linux": "PoCL (Debian, Ubuntu: pocl-opencl-icd; conda-forge: pocl)", "darwin": "PoCL (conda-forge: pocl)",
            "win32": "Intel's CPU Runtime for OpenCL"}
@@ -138,10 +137,9 @@ def _cache_path(name="devices"):
 def _installation():
     """Where gpusim and its kernels are, and since when: what failed for want of them may work now."""
     try:
-        import gpusim.kernels as kernels
+        folders = [*map(Path, sys.modules["gpusim"].__path__), kernel_folder()]
     except ImportError:
         return ["no kernels"]
-    folders = [Path(folder) for folder in (*sys.modules["gpusim"].__path__, *kernels.__path__)]
     return [f"{folder} {folder.stat().st_mtime_ns}" for folder in folders if folder.is_dir()]
 
 
@@ -175,28 +173,6 @@ def _run(argument):
     # -P: of this package, and not of another one in the folder where it is run
     return subprocess.run([sys.executable, "-P", "-c", HELPER, str(Path(__file__).parents[2]), argument],
                           capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
-
-
-def _list():
-    names, failure = ["warp:cpu"], ""
-    try:
-        names = [f"opencl:{number}" for number in range(len(cl_devices()))] + names
-    except DeviceError as error:  # no pyopencl
-        failure = str(error)
-    try:
-        wp = started_warp()
-        names += [f"warp:{device.alias}" for device in wp.get_cuda_devices()]
-    except Exception:  # its own entry, warp:cpu, will say why
-        pass
-    return names, failure
-
-
-def _describe(name):
-    from gpusim.backends.select import open_device
-
-    device = open_device(name)
-    rate = _numpy_copy_gbps() if device.kind == "numpy" else copy_gbps(device)
-    return identity(device) | {"memory": int(device.memory), "copy_gbps": float(rate)}
 
 
 def identity(device) -> dict:
@@ -241,29 +217,3 @@ def copy_gbps(device) -> float:
     if not np.array_equal(device.numpy(target), values):
         raise DeviceError(f"{device.name}: a copy kernel returned other values than it was given")
     return 2 * COPY_BYTES / best_ms / 1e6
-
-
-def _numpy_copy_gbps():
-    source, target = np.ones(COPY_BYTES // 4, np.float32), np.ones(COPY_BYTES // 4, np.float32)
-    seconds = []
-    for _ in range(5):
-        start = time.perf_counter()
-        np.copyto(target, source)
-        seconds.append(time.perf_counter() - start)
-    return 2 * COPY_BYTES / min(seconds) / 1e9
-
-
-def _main(argument):
-    if argument == "list":
-        print(json.dumps(_list()))
-        return
-    try:
-        found = _describe(argument)
-    except Exception as error:  # whatever a driver raises is the reason why the device is unusable
-        text = str(error) if isinstance(error, GpusimError) else f"{type(error).__name__}: {error}"
-        found = {"error": " ".join(text.split())[:400]}
-    print(json.dumps(found))
-
-
-if __name__ == "__main__":
-    _main(sys.argv[1])

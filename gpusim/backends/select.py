@@ -25,6 +25,9 @@ def open_device(name: str = "auto") -> Device:
         return _opened(name)
 
 
+Device.opened_by = open_device  # of pickled ones
+
+
 @functools.cache
 def _opened(name):
     if name == "numpy":

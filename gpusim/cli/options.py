@@ -1,16 +1,12 @@
 """Options that commands share: the scene, the camera as operated, and what is asked of the planner."""
 
 import argparse
-import dataclasses
 import math
-import re
 from collections import Counter
 
 from gpusim.domain.account import SHOWN
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import OutOfRange
 
-TIME = re.compile(r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+)(?:/(\d+\.?\d*))? ?(s|ms|us)?", re.ASCII)
-PER_SECOND = {None: 1.0, "s": 1.0, "ms": 1e3, "us": 1e6}
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 
 
@@ -27,23 +23,10 @@ def scene_of(arguments, name: str | None = None):
 
 def operated(camera, arguments):
     """The camera with what the command line says of it: exposure, speed, lens and display scaling."""
-    optics, sensor, processor = camera.optics, camera.sensor, camera.processor
-    if arguments.exposure is not None:
-        sensor = dataclasses.replace(sensor, exposure_time=None if arguments.exposure == "auto" else arguments.exposure)
-    if arguments.iso is not None:
-        from gpusim.color.speed import gain_for_speed
+    from gpusim.color.speed import operate_camera
 
-        # the speed that was asked for: automatic exposure raises no gain on its own
-        sensor = dataclasses.replace(sensor, analog_gain=gain_for_speed(sensor, arguments.iso),
-                                     auto_exposure=dataclasses.replace(sensor.auto_exposure, most_gain=1.0))
-    lens = {"f_number": arguments.f_number, "object_distance": arguments.focus}
-    lens = {key: value for key, value in lens.items() if value is not None}
-    if lens and optics.psf is not None:
-        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
-                      "neither, or a camera without [optics] psf")
-    if arguments.scaling is not None:
-        processor = dataclasses.replace(processor, scaling=arguments.scaling)
-    return dataclasses.replace(camera, optics=dataclasses.replace(optics, **lens), sensor=sensor, processor=processor)
+    return operate_camera(camera, exposure=arguments.exposure, iso=arguments.iso, f_number=arguments.f_number,
+                          focus=arguments.focus, scaling=arguments.scaling)
 
 
 def _named(text):
@@ -81,15 +64,13 @@ def _time(text):
 
 
 def seconds_of(text: str) -> float:
-    """Seconds of a time such as 1/60, 0.01, 10ms or 500us on a command line."""
-    from gpusim.domain.exposure import LONGEST
+    """Seconds of a time on a command line, see `parse_seconds`."""
+    from gpusim.domain.quantities import parse_seconds
 
-    match = TIME.fullmatch(text)
-    time = float(match[1]) / float(match[2] or 1) / PER_SECOND[match[3]] if match and float(match[2] or 1) else 0.0
-    if not 0 < time <= LONGEST:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds such as 1/60 or 0.01, 10ms, 500us, above 0 and up "
-                                         f"to {LONGEST:g} s, or auto")
-    return time
+    try:
+        return parse_seconds(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _positive(wanted, most):

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from math import prod
+from typing import Any, Literal
 
 import numpy as np
 
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
+from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.spectrum import photons_from_energy
@@ -84,3 +86,26 @@ def _up(speed):
     """Rounded up to four digits: what a message allows must not be refused."""
     step = 10.0 ** (np.floor(np.log10(speed)) - 3)
     return np.ceil(speed / step) * step
+
+
+def operate_camera(camera: Camera, *, exposure: float | Literal["auto"] | None = None, iso: float | None = None,
+                   f_number: float | None = None, focus: float | None = None, scaling: str | None = None) -> Camera:
+    """Return the camera with other settings of its controls; None leaves one as it is.
+
+    exposure: [s], or "auto". iso: speed. focus: distance of what is in focus [m]. scaling: of the processor. Raises
+    BadData for a lens of measured point spreads, and OutOfRange.
+    """
+    optics, sensor, processor = camera.optics, camera.sensor, camera.processor
+    if exposure is not None:
+        sensor = replace(sensor, exposure_time=None if isinstance(exposure, str) else exposure)
+    if iso is not None:  # the speed that was asked for: automatic exposure raises no gain on its own
+        sensor = replace(sensor, analog_gain=gain_for_speed(sensor, iso),
+                                     auto_exposure=replace(sensor.auto_exposure, most_gain=1.0))
+    lens: dict[str, Any] = {"f_number": f_number, "object_distance": focus}
+    lens = {key: value for key, value in lens.items() if value is not None}
+    if lens and optics.psf is not None:
+        raise BadData("--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
+                      "neither, or a camera without [optics] psf")
+    if scaling is not None:
+        processor = replace(processor, scaling=scaling)
+    return replace(camera, optics=replace(optics, **lens), sensor=sensor, processor=processor)

@@ -1,10 +1,12 @@
 """What a window and a notebook show of an object: its plot and its picture or table, which `gpusim.plot` makes.
 
-That package is above all that it plots, and needs matplotlib, so it is imported by name when something is shown.
+That package is above all that it plots, and needs matplotlib, so `gpusim` hands in how to load it.
 """
 
-from importlib import import_module
+from collections.abc import Callable
 from typing import Any
+
+load: Callable[[], Any] | None = None  # gives `gpusim.plot.notebook`
 
 
 class Shown:
@@ -35,4 +37,5 @@ class Tabled(Shown):
 
 
 def _above() -> Any:
-    return import_module("gpusim.plot.notebook")
+    assert load is not None  # `gpusim` has set it
+    return load()

@@ -25,7 +25,7 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
-from gpusim.judge.truth_field import blocks, varying_rates
+from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
 from gpusim.judge.truth_light import axis_of, falloff_gain, pixel_places, placed_light, plain_rates
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
@@ -52,7 +52,12 @@ def require_truth(camera, scene):
 
 def true_error(simulator, scene, exposure) -> Error:
     """Error of an exposure's mean electrons; simulator: by which it was made. Raises DoesNotFit."""
-    return Error.between(*seen(simulator, scene, exposure), simulator.camera.sensor.read_sigma)
+    camera = simulator.camera
+    error = Error.between(*seen(simulator, scene, exposure), camera.sensor.read_sigma)
+    if camera.optics.varies and len(blocks(scene.shape)) > 1:
+        words = f"{BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over the field"
+        return dataclasses.replace(error, places=words)
+    return error
 
 
 def seen(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:

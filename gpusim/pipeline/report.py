@@ -15,13 +15,15 @@ class Error:
     """True error of the mean electrons against the float64 reference.
 
     rms: root mean square over that of the reference [1]. max_local: largest |error| / max(reference, 1 e-).
-    p999_sigma, max_sigma: 99.9 % quantile and maximum of |error| over the pixel's own noise sigma [1].
+    p999_sigma, max_sigma: 99.9 % quantile and maximum of |error| over the pixel's own noise sigma [1]. places: which
+    pixels it is of, in words; "" of all.
     """
 
     rms: float
     max_local: float
     p999_sigma: float
     max_sigma: float
+    places: str = ""
 
     @classmethod
     def between(cls, mean, reference, read_noise: float) -> "Error":

@@ -9,7 +9,6 @@ import numpy as np
 from gpusim.color.rendering import transforms_by, transforms_of, without_tone
 from gpusim.color.speed import iso_speed
 from gpusim.domain.exposure import exposure_value
-from gpusim.judge.truth_field import BLOCKS, SIDE, blocks
 from gpusim.kernels.sensor.noise import check_drawn, redraw
 from gpusim.pipeline.cache import Kept, One
 from gpusim.pipeline.developer import Developer, edges_of
@@ -175,9 +174,8 @@ class Shots:
             notes.append(f"by a plan that was given, of {plan.given_of}: all predicted errors are those of this scene")
         if plan.probed:
             notes.append(f"probes: {plan.probed}")
-        if error is not None and plan.varying is not None and len(blocks(scene.shape)) > 1:
-            notes.append(f"the true error is that of {BLOCKS} blocks of {SIDE} x {SIDE} pixels: the blur varies over "
-                         "the field")
+        if error is not None and error.places:
+            notes.append(f"the true error is that of {error.places}")
         return Report(
             {"name": scene.name, "rows": scene.shape[0], "cols": scene.shape[1], "form": scene.content.form,
              "border": scene.border, "samples_per_pixel": scene.samples_per_pixel,

@@ -14,7 +14,7 @@ from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shortened
 from gpusim.domain.tolerance import Tolerance
-from gpusim.judge.truth import require_truth, true_error
+from gpusim.pipeline import truths
 from gpusim.pipeline.batch import Batch
 from gpusim.pipeline.cache import Kept
 from gpusim.pipeline.frame import Exposure, Frame
@@ -140,9 +140,9 @@ class Simulator:
 
     def _frames(self, scene, count, seed, first, verify, plan):
         if verify:
-            require_truth(self.camera, scene)
+            truths.load().require_truth(self.camera, scene)
         exposure = self.expose(scene, plan=plan)
-        error = true_error(self, scene, exposure) if verify else None
+        error = truths.load().true_error(self, scene, exposure) if verify else None
         yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
 
     def shoot(self, exposure: Exposure, count: int = 1, *, seed: int = 0, first: int = 0,

@@ -6,7 +6,7 @@ from math import isfinite
 
 import numpy as np
 
-from gpusim.cli.options import seconds_of
+from gpusim.domain.quantities import parse_seconds
 
 NUMBERS = ("exposure", "iso", "luminance")
 NAMES = (*NUMBERS, "light")
@@ -50,7 +50,7 @@ def _numbers(name, text):
     """The ends of a range, equal ones of a single number."""
     low, dots, high = text.partition("..")
     try:
-        read = seconds_of if name == "exposure" else float
+        read = parse_seconds if name == "exposure" else float
         ends = read(low), read(high if dots else low)
     except (ValueError, argparse.ArgumentTypeError):
         ends = (0.0, 0.0)

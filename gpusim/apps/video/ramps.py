@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from gpusim.cli.options import operated, seconds_of
+from gpusim.domain.quantities import parse_seconds
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.camera import Camera
@@ -33,7 +33,7 @@ class Ramps:
             name, _, value = part.partition("=")
             ends = value.split("..")
             try:
-                numbers = [seconds_of(end) if name == "exposure" else float(end) for end in ends]
+                numbers = [parse_seconds(end) if name == "exposure" else float(end) for end in ends]
             except (ValueError, argparse.ArgumentTypeError):
                 numbers = []
             if name not in NAMES or name in found or len(numbers) != 2 or not all(
@@ -53,8 +53,10 @@ class Ramps:
         values = self.at(part)
         if not any(name in CAMERA for name in values):
             return camera
-        return operated(camera, argparse.Namespace(scaling=None, **{
-            name.replace("-", "_"): values.get(name) for name in CAMERA}))
+        from gpusim.color.speed import operate_camera
+
+        return operate_camera(camera, exposure=values.get("exposure"), iso=values.get("iso"),
+                              f_number=values.get("f-number"), focus=values.get("focus"))
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
         """The scene in the light that there is then."""

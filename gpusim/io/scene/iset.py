@@ -26,7 +26,8 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.io.files import named
 from gpusim.io.scene.depth import axial
-from gpusim.io.scene.mat import Value, open_mat
+from gpusim.io.scene.mat import open_mat
+from gpusim.io.scene.mat_value import Value
 
 SCENE, OPTICAL_IMAGE = "scene", "opticalimage"
 NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # of variables, the first that is there

@@ -18,11 +18,10 @@ from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.archive import LARGEST_RATIO, PIECE
 from gpusim.io.files import file_size, open_file, reading
+from gpusim.io.scene.mat_hdf5 import open_hdf5
+from gpusim.io.scene.mat_value import HDF5, LONGEST_TEXT, MOST_NAMES, USER_BLOCK, WHAT, Value
 
-WHAT = "a MATLAB file"
 HEADER = 128  # [byte] of version 5
-HDF5 = b"\x89HDF\r\n\x1a\n"
-USER_BLOCK = 512  # [byte] before the HDF5 that MATLAB writes
 MATRIX, COMPRESSED = 14, 15  # types of elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
@@ -30,63 +29,7 @@ CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13:
 STRUCT, CHAR = 2, 4
 OTHERS = {1: "a cell array", 5: "a sparse matrix", 16: "a function handle"}
 COMPLEX = 0x800  # flag
-LONGEST_TEXT = 2**16  # [byte] of names and comments
-MOST_NAMES = 4096  # of variables in a file, and of fields in a struct
 HEAD = 1024  # [byte] of a variable, in which its name ends: 32 dimensions and 63 letters take less
-
-
-class Value:
-    """A variable or a field: numbers, a text, a struct, or something that is only named.
-
-    kind: "numbers", "text", "struct" (of one element), or what it is in words. shape: as in MATLAB. names: of the
-    fields of a struct.
-    """
-
-    def __init__(self, path, label: str, kind: str, shape: tuple[int, ...], names: tuple[str, ...] = ()):
-        self.path, self.label, self.kind, self.shape, self.names = path, label, kind, shape, names
-
-    def get(self, *names: str) -> "Value | None":
-        """The field of a field ...; None where one is missing, empty, or of something that is no struct.
-
-        Raises BadFile, DoesNotFit.
-        """
-        value = self
-        for name in names:
-            if name not in value.names:
-                return None
-            with reading(self.path, WHAT):
-                value = value._field(name)
-        return value if math.prod(value.shape) else None
-
-    def numbers(self) -> np.ndarray:
-        """Real numbers, of `shape`, in the type of their class in MATLAB. Raises BadFile, DoesNotFit."""
-        if self.kind != "numbers":
-            raise BadFile(self.path, f"{self.label}: {self.kind}, wanted real numbers")
-        with reading(self.path, WHAT):
-            self._check()
-            require_memory(f"{self.path}: {self.label}", 8 * math.prod(self.shape))
-            return self._array()
-
-    def text(self) -> str | None:
-        """What a text of one line says; None of anything else. Raises BadFile."""
-        if self.kind != "text" or len(self.shape) != 2 or self.shape[0] != 1 or self.shape[1] > LONGEST_TEXT:
-            return None
-        with reading(self.path, WHAT):
-            self._check()
-            return self._text()
-
-    def _field(self, name: str) -> "Value":
-        raise NotImplementedError
-
-    def _check(self):
-        """Raise BadFile where the file cannot hold what a value declares."""
-        raise NotImplementedError
-
-    def _array(self) -> np.ndarray:
-        raise NotImplementedError
-
-    def _text(self) -> str:
-        raise NotImplementedError
 
 
 @contextmanager
@@ -100,8 +43,6 @@ def open_mat(path) -> Iterator[Value]:
         if HDF5 not in (head[:len(HDF5)], head[USER_BLOCK:]):
             yield _filled(root)
             return
-    from gpusim.io.scene.mat_hdf5 import open_hdf5
-
     with open_hdf5(path) as variables:
         yield _filled(variables)
 

@@ -12,7 +12,7 @@ import numpy as np
 from gpusim.domain.errors import BadFile
 from gpusim.io.archive import LARGEST_RATIO
 from gpusim.io.files import open_file, reading
-from gpusim.io.scene.mat import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
+from gpusim.io.scene.mat_value import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
 
 HIDDEN = "#"  # begins the names of what MATLAB keeps beside the variables
 CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
